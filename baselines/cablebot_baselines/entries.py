@@ -20,11 +20,5 @@ DATA: dict[str, dict[str, Any]] = {
 
 
 def entry(name: str, factory: Callable[[Robot], Policy]) -> PolicyEntry:
-    """The entry of a policy that ``factory`` builds for a nominal robot.
-
-    Raises:
-        ValueError: if ``policies.toml`` does not have the policy.
-    """
-    if name not in DATA:
-        raise ValueError(f"policy {name!r} has no table in policies.toml: add it there")
+    """The entry of a policy in ``policies.toml`` that ``factory`` builds for a nominal robot."""
     return PolicyEntry(factory=factory, **DATA[name])

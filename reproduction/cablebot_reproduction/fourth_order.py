@@ -33,7 +33,7 @@ class FourthOrder(FlexibleLaw):
         deflection = blocks["motor_angle"] - textbook.pulley_angle(robot, pose)
         deflection_rate = blocks["motor_speed"] - self.pulley_speed(pose, velocity)
         spring = robot.stiffness * deflection
-        spring_without_acceleration = self._spring_torques(mass, pose, velocity, zero)
+        spring_without_acceleration = self._inverse_dynamics(mass, pose, velocity, zero).torques
         acceleration = _solve(slope, spring - spring_without_acceleration)
         motion = JointMotion(
             position=pose, velocity=velocity, acceleration=acceleration, jerk=zero, snap=zero
@@ -50,8 +50,9 @@ class FourthOrder(FlexibleLaw):
             + pose_gain * (blocks["reference_pose"] - pose)
         )
         spring_second = second_without_snap + textbook.times_vector(slope, snap)
-        pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        inertial = robot.motor_inertia * (pulley_acceleration + spring_second / robot.stiffness)
+        required = self._inverse_dynamics(mass, pose, velocity, acceleration)
+        motor_acceleration = required.pulley_accelerations + spring_second / robot.stiffness
+        inertial = robot.motor_inertia * motor_acceleration
         return spring + inertial + textbook.motor_friction(robot, blocks["motor_speed"], spring)
 
 

@@ -158,7 +158,7 @@ def test_last_plan_bridges_failures_until_its_end(failing):
     assert policy.fallbacks == 5
     policy = failing(1)
     state = rollout(policy, vector(PLANAR_ID, 1), steps=110)[3]
-    assert state.memory.plans == (None,)
+    assert state.memory[0].plan is None
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

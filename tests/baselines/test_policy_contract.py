@@ -14,7 +14,7 @@ from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.planning import Infeasible
 from cablebot_gym.policies import load_policy, policy_entries
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries()
 
@@ -99,6 +99,13 @@ def test_row_of_a_batch_acts_as_an_episode_alone(name, env_id):
         actions.append(action)
     assert np.ptp(actions, axis=0).max() > 1e-3
     assert np.ptp(actions, axis=1).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["nmpc", "observing", "trajopt"])
+def test_policy_for_the_motions_of_its_tasks_raises_before_reset(name):
+    observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
+    with pytest.raises(RuntimeError, match=r"call reset\(tasks\) before predict\(\)"):
+        load_policy(name, PLANAR).predict(observation)
 
 
 @pytest.mark.parametrize("name", ENTRIES)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -9,24 +10,20 @@ from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
 from steering import tasks_of
 
-from cablebot_baselines.laws import BoundedRobustPD
-from cablebot_baselines.laws.observing import make_observing
-from cablebot_baselines.laws.robust_design import Peaks, RobustDesign
+from cablebot_baselines.laws import BoundedRobustPD, Observing
+from cablebot_baselines.laws.robust_design import RobustDesign
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_gym.uncertainty import find_uncertainty
 
 PERIOD = 2e-3
-PEAKS = Peaks(jump=5.0, pulley_speed=40.0, pulley_acceleration=500.0)
 
 
-def design(env_id, uncertainty="hardware", payload=2.0, peaks=PEAKS, **changes):
+def design(env_id, payload=2.0, **changes):
     robot = ROBOTS[env_id]
-    expectation = Expectation.of(robot, find_uncertainty(uncertainty, robot))
+    expectation = Expectation.of(robot, find_uncertainty("hardware", robot))
+    task, _ = tasks_of(env_id)
     return RobustDesign(
-        expectation=replace(expectation, **changes),
-        period=PERIOD,
-        largest_payload=payload,
-        peaks=peaks,
+        expectation=replace(expectation, **changes), task=task, largest_payload=payload
     )
 
 
@@ -75,12 +72,12 @@ def test_bounds_contain_the_masses_of_all_payloads():
     assert np.all(np.abs(masses / made.mass - 1) <= made.zeta)
 
 
-def loop_and_errors(size, mass_error, seed=0):
+def loop_and_errors(size, mass_error):
     """Outer loop, and blocks with errors of a size on robots in space."""
     outer = BoundedRobustPD(
         stiffness=20.0, zeta=mass_error, phi=(2.0, 3.0), gravity=np.array([0.0, 0.0, 9.81])
     )
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     names = ("reference_pose", "reference_velocity", "reference_acceleration")
     blocks = {name: size * rng.normal(size=(200, 6)) for name in names}
     return outer, blocks | {"pose": np.zeros((200, 6)), "velocity": np.zeros((200, 6))}
@@ -117,8 +114,18 @@ def test_lyapunov_function_decreases_outside_the_layer_for_the_worst_errors():
             assert np.all(decrease <= -np.sum(errors * (errors @ q), axis=(-2, -1)) + 1e-9)
 
 
+def test_task_of_one_motion_serves_all_episodes_of_a_batch():
+    law = Observing(ROBOTS["CableBot-Planar-v0"])
+    tasks = tasks_of("CableBot-Planar-v0")
+    observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
+    law.reset(tasks[:1])
+    alone, _ = law.predict(observation)
+    actions, _ = law.predict(np.stack([observation, observation]))
+    assert_allclose(actions, [alone, alone])
+
+
 def test_robot_that_holds_every_payload_can_be_prepared():
     """At rest in a horizontal plane no payload is the largest one."""
-    make_observing(ROBOTS["CableBot-Planar-v0"]).reset(
+    Observing(ROBOTS["CableBot-Planar-v0"]).reset(
         tasks_of("CableBot-Planar-v0", trajectory="dwell-planar")
     )

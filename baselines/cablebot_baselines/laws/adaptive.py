@@ -86,7 +86,6 @@ class Adaptive(ClassicalLaw):
         self, law: ClassicalLaw, *, estimator_prior_weight: float = 0.01, allocation: bool = True
     ) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
-        self.model = law.model
         weight = number("estimator_prior_weight", estimator_prior_weight, above=0.0, unit="s")
         self.law = law
         self._prior_weight = weight * GRAVITY**2
@@ -117,7 +116,7 @@ class Adaptive(ClassicalLaw):
         # np.maximum returns a scalar for a single observation; the masks below need an array.
         estimate = np.asarray(self.mass(memory, mass))
         torques, speeds = self.law.torques(blocks, estimate)
-        action = self._action(torques, speeds)
+        action = textbook.normalised_action(self.robot, torques, speeds)
         saturated = np.any(np.abs(action) > 1, axis=-1)
         if self._allocates and np.any(saturated):
             robot = self.robot

@@ -18,16 +18,14 @@ from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.law import Array, ClassicalLaw
 from cablebot_baselines.laws.outer_loop import (
     PD,
-    BoundedRobustPD,
     Gains,
-    RobustPD,
+    OuterLoop,
     checked_gains,
 )
 from cablebot_gym.motions import Reference
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, Robot
 from cablebot_gym.task import Task
-from cablebot_gym.utils.checks import number
 
 DIFFERENCE_STEP = 2e-4
 """Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below
@@ -39,6 +37,12 @@ FADE_TIME = 0.5
 
 Faster, a cable of ``flex-gch-klaus`` swings below its minimum tension.
 """
+
+MOTOR_FREQUENCY = 200.0
+"""ω of the motor loop of :class:`MotorPD` [rad/s]: K_P = J′ω², K_D = 2 ζ J′ ω."""
+
+MOTOR_DAMPING_RATIO = 0.7
+"""ζ of that loop."""
 
 FLEXIBLE_MINIMUM_TENSION = 14.0
 """Least tension that the laws allocate on a planar robot with joint springs [N].
@@ -107,27 +111,16 @@ class FlexibleLaw(ClassicalLaw):
         torques = spring + textbook.motor_friction(self.model, required.speeds, spring)
         return torques, required.pulley_accelerations, required.speeds
 
-    def _spring_torques(
-        self, mass: Array, pose: Array, velocity: Array, acceleration: Array
-    ) -> Array:
-        """Required spring torques κ = r T + J β̈ + c β̇ [N·m], (..., m)."""
-        return self._inverse_dynamics(mass, pose, velocity, acceleration).torques
-
-    def _pulley_acceleration(self, pose: Array, velocity: Array, acceleration: Array) -> Array:
-        """β̈ [rad/s²], (..., m)."""
-        mass = np.asarray(self.robot.mass)
-        required = self._inverse_dynamics(mass, pose, velocity, acceleration)
-        return required.pulley_accelerations
-
     def _spring_torque_derivatives(
         self, mass: Array, motion: JointMotion
     ) -> tuple[Array, Array, Array]:
-        """κ, κ̇ and κ̈ along a motion, by central differences."""
+        """Spring torques κ = r T + J β̈ + c β̇ that a motion requires, κ̇ and κ̈, by central
+        differences."""
         steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
         times = steps.reshape(-1, *[1] * motion.position.ndim)
         masses = np.stack([mass] * len(steps))
         # One batch takes a third of the time of three.
-        before, now, after = self._spring_torques(masses, *motion.after(times))
+        before, now, after = self._inverse_dynamics(masses, *motion.after(times)).torques
         rate = (after - before) / (2 * DIFFERENCE_STEP)
         second = (after - 2 * now + before) / DIFFERENCE_STEP**2
         return now, rate, second
@@ -172,7 +165,7 @@ class Composite(FlexibleLaw):
     Args:
         robot: nominal robot.
         gains: (K_P, K_D) of the rigid law, or ``paper``.
-        spring_damping: largest K_v in units of √(K J′); ≥ 0.
+        spring_damping: largest K_v in units of √(K J′).
         leads_springs: whether the torque κ leads by the lag of the damped springs along the
             reference, (K_v κ̇ + J′ κ̈)/K.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
@@ -192,9 +185,11 @@ class Composite(FlexibleLaw):
         minimum_tension: float | None = None,
     ) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        self.outer: PD | RobustPD | BoundedRobustPD = PD(gains=checked_gains(gains, robot))
-        self.spring_damping = number("spring_damping", spring_damping, least=0.0)
+        self.outer: OuterLoop = PD(gains=checked_gains(gains, robot))
         self.leads_springs = leads_springs
+        # √(K J′) [N·m·s/rad]
+        self._damping_unit = np.sqrt(self.model.stiffness * self.model.motor_inertia)
+        self._max_damping = spring_damping * self._damping_unit
         self._damping = self._max_damping
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -204,16 +199,7 @@ class Composite(FlexibleLaw):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         super().reset(tasks)
-        self._damping = self.damping(_longest_period(tasks))
-
-    @property
-    def _damping_unit(self) -> Array:
-        """√(K J′) [N·m·s/rad], (m,)."""
-        return np.sqrt(self.model.stiffness * self.model.motor_inertia)
-
-    @property
-    def _max_damping(self) -> Array:
-        return self.spring_damping * self._damping_unit
+        self._damping = self.damping(1 / tasks[0].control_frequency)
 
     def damping(self, period: float) -> Array:
         """K_v [N·m·s/rad] for a control period [s], (m,)."""
@@ -255,31 +241,20 @@ class MotorPD(FlexibleLaw):
 
     Args:
         robot: nominal robot.
-        frequency: ω of the motor loop [rad/s]; K_P = J′ω², K_D = 2 ζ J′ ω; > 0.
-        damping_ratio: ζ of the motor loop; > 0.
         minimum_tension: least allocated tension [N], as in :class:`ClassicalLaw`.
 
     Raises:
-        ValueError: if the robot has neither joint springs nor elastic cables, or an argument is out
-            of its range.
+        ValueError: if the robot has neither joint springs nor elastic cables, or
+            ``minimum_tension`` is negative.
     """
 
     tension_reserve = 2.0  # the tensions swing more than under a law that reads the pose
 
-    def __init__(
-        self,
-        robot: Robot,
-        *,
-        frequency: float = 200.0,
-        damping_ratio: float = 0.7,
-        minimum_tension: float | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, *, minimum_tension: float | None = None) -> None:
         super().__init__(robot, minimum_tension=minimum_tension)
-        frequency = number("frequency", frequency, above=0.0, unit="rad/s")
-        damping_ratio = number("damping_ratio", damping_ratio, above=0.0)
         inertia = self.model.motor_inertia
-        self._stiffness = inertia * frequency**2
-        self._damping = 2 * damping_ratio * inertia * frequency
+        self._stiffness = inertia * MOTOR_FREQUENCY**2
+        self._damping = 2 * MOTOR_DAMPING_RATIO * inertia * MOTOR_FREQUENCY
         self._fading = 0.0
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -289,7 +264,7 @@ class MotorPD(FlexibleLaw):
             ValueError: if a task's robot differs from the law's robot in kind or anchors.
         """
         super().reset(tasks)
-        self._fading = math.exp(-_longest_period(tasks) / FADE_TIME)
+        self._fading = math.exp(-1 / tasks[0].control_frequency / FADE_TIME)
 
     def _control(
         self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
@@ -312,7 +287,7 @@ class MotorPD(FlexibleLaw):
         measured ones, (..., 2, m)."""
         pose = blocks["reference_pose"]
         zero = np.zeros_like(pose)
-        spring = self._spring_torques(mass, pose, zero, zero)
+        spring = self._inverse_dynamics(mass, pose, zero, zero).torques
         tensions = spring / self.model.pulley_radius
         angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         spring = textbook.holding_torque(self.robot, spring)
@@ -325,28 +300,23 @@ class MotorPD(FlexibleLaw):
     def _motor_torques(self, blocks: dict[str, Array], mass: Array) -> Array:
         robot = self.model
         pose = blocks["reference_pose"]
-        velocity = blocks["reference_velocity"]
-        acceleration = blocks["reference_acceleration"]
+        required = self._inverse_dynamics(
+            mass, pose, blocks["reference_velocity"], blocks["reference_acceleration"]
+        )
         spring, spring_rate, spring_second = self._reference_spring_torques(mass, blocks)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         tensions = spring / robot.pulley_radius
         angle, _ = textbook.rest_angles(self.robot, tensions, pose)
         # With elastic cables the motor torque at rest exceeds r T.
         spring = textbook.holding_torque(self.robot, spring)
-        speed = self.pulley_speed(pose, velocity) + spring_rate / stiffness
-        pulley_acceleration = self._pulley_acceleration(pose, velocity, acceleration)
-        motor_acceleration = pulley_acceleration + spring_second / stiffness
+        speed = required.speeds + spring_rate / stiffness
+        motor_acceleration = required.pulley_accelerations + spring_second / stiffness
         inertial = robot.motor_inertia * motor_acceleration
         feedforward = spring + inertial + textbook.motor_friction(robot, speed, spring)
         angle_error = angle - blocks["motor_angle"]
         speed_error = speed - blocks["motor_speed"]
         correction = self._stiffness * angle_error + self._damping * speed_error
         return feedforward + correction
-
-
-def _longest_period(tasks: Sequence[Task]) -> float:
-    """Longest control period [s]."""
-    return max(1 / task.control_frequency for task in tasks)
 
 
 def _slowest_frequency(robot: Robot) -> float:

@@ -106,7 +106,7 @@ class ClassicalLaw:
         reference in the blocks."""
         mass = self.robot.mass + blocks["model_payload"][..., 0]
         torques, speeds, state = self._control(blocks, mass, state, episode_start)
-        return self._action(torques, speeds), state
+        return normalised_action(self.robot, torques, speeds), state
 
     def _control(
         self, blocks: dict[str, Array], mass: Array, state: Any, episode_start: Any
@@ -122,9 +122,6 @@ class ClassicalLaw:
             mass: mass of platform and payload [kg], (...).
         """
         raise NotImplementedError
-
-    def _action(self, torques: Array, speeds: Array) -> Array:
-        return normalised_action(self.robot, torques, speeds)
 
     def _inverse_dynamics(
         self, mass: Array, pose: Array, velocity: Array, acceleration: Array

@@ -16,13 +16,8 @@ from cablebot_baselines.laws.law import Array, ClassicalLaw
 from cablebot_baselines.observer.expectation import Expectation, possible_payload
 from cablebot_baselines.observer.observer import RobotObserver
 from cablebot_baselines.observer.observer_state import ObserverState, RobotEstimate
-from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.physics.textbook import normalised_action
-from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
-
-PERIOD = 2e-3
-"""Control period of the observer before :meth:`ObserverLaw.reset` [s]."""
 
 UNCERTAINTY = "hardware"
 """Uncertainty that the laws expect."""
@@ -35,17 +30,6 @@ _REFERENCE = {
     "reference_snap": "snap",
 }
 """Fields of a motion by blocks of the reference, which an observation may have."""
-
-
-def observed_gains(robot: Robot) -> tuple[float, float]:
-    """(K_P, K_D) of a law behind the observer for a rigid robot [1/s², 1/s].
-
-    Higher ones amplify the noise of the sensors; with lower ones a platform in a plane turns too
-    far where the motors have less friction.
-    """
-    if robot.planar:
-        return 900.0, 60.0
-    return 400.0, 40.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +85,8 @@ class ObserverLaw(ClassicalLaw):
     """
 
     unsaturated_actions = False
+    observer: RobotObserver
+    """Observer of the robots of the tasks; :meth:`reset` makes it."""
 
     def __init__(
         self,
@@ -115,9 +101,11 @@ class ObserverLaw(ClassicalLaw):
         self.expectation = expectation
         self.largest_payload = largest_payload
         self._payload_prior = payload_prior
+        # Laws and the rows of a batch in which each acts.
+        self._laws: list[tuple[ClassicalLaw, Any]] = [(law, slice(None))]
         self._tasks: tuple[Task, ...] = ()
-        payloads = np.array([self._possible(None)])
-        self.observer = self._observer(PERIOD, payloads)
+        # Each motion's first task and its rows.
+        self._motions: list[tuple[Task, Any]] = []
         self._allocates = law.robot.cables == law.robot.coordinates
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -128,19 +116,27 @@ class ObserverLaw(ClassicalLaw):
         """
         self.law.reset(tasks)
         self._tasks = tuple(tasks)
+        groups: dict[int, list[int]] = {}
+        for row, task in enumerate(tasks):
+            groups.setdefault(id(task.trajectory), []).append(row)
+        self._motions = [(tasks[rows[0]], np.array(rows)) for rows in groups.values()]
+        if len(groups) == 1:
+            self._motions = [(tasks[0], slice(None))]  # serves any number of episodes
         payloads = np.zeros(len(tasks))
-        for task, rows in self._rows_by_motion(len(tasks)):
-            payloads[rows] = self._possible(task)
-        self._prepare(tasks, payloads)
+        for task, rows in self._motions:
+            largest = self.largest_payload
+            if largest is None:
+                largest = self._payload_prior * possible_payload(self.robot, task)
+            payloads[rows] = largest
+        self._prepare(payloads)
         period = 1 / tasks[0].control_frequency
-        self.observer = self._observer(period, payloads)
+        self.observer = RobotObserver(self.expectation, period, largest_payload=payloads)
         self._load_compiled_code(tasks)
 
     def _load_compiled_code(self, tasks: Sequence[Task]) -> None:
         """Runs the observer for two steps: in a control step the loading of its compiled code would
         take longer than the control period."""
-        size = observation_layout(self.robot).size
-        blocks = self.split(np.zeros((len(tasks), size)))
+        blocks = self.split(np.zeros((len(tasks), self._layout.size)))
         blocks["pose"] = np.array([task.start_pose for task in tasks])
         starts = np.zeros(len(tasks), np.bool_)
         observer = self.observer
@@ -148,24 +144,19 @@ class ObserverLaw(ClassicalLaw):
         state = observer.update(blocks, state, starts)
         observer.at_effect(blocks, state)
 
-    def _prepare(self, tasks: Sequence[Task], payloads: Array) -> None:
-        """Adapts the law to the tasks and the largest possible payload of each, (N,) [kg]."""
-
-    def _possible(self, task: Task | None) -> float:
-        """Largest payload that is considered possible in a task; None for an unknown task [kg]."""
-        if self.largest_payload is not None:
-            return self.largest_payload
-        return self._payload_prior * possible_payload(self.robot, task)
-
-    def _observer(self, period: float, payloads: Array) -> RobotObserver:
-        if np.ptp(payloads) == 0:
-            payloads = payloads[0]  # serves any number of episodes
-        return RobotObserver(self.expectation, period, largest_payload=payloads)
+    def _prepare(self, payloads: Array) -> None:
+        """Adapts the law to the motions and the largest possible payloads, (N,) [kg]."""
 
     def respond(
         self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None
     ) -> tuple[Array, Any]:
-        """Actions within ±1 from the blocks of an observation, and the next state."""
+        """Actions within ±1 from the blocks of an observation, and the next state.
+
+        Raises:
+            RuntimeError: before the first :meth:`reset`.
+        """
+        if not self._tasks:
+            raise RuntimeError("call reset(tasks) before predict(): the tasks have the motions")
         shape = blocks["pose"].shape[:-1]
         rows = blocks
         if not shape:
@@ -185,7 +176,12 @@ class ObserverLaw(ClassicalLaw):
         )
         reference, memory = self.reference(instant, memory)
         later = ahead | {"time_to_go": time_to_go[:, None]} | reference
-        requested, action = self._act(rows | later, estimate)
+        at_effect = rows | later
+        requested = np.empty_like(estimate.strength)
+        action = np.empty_like(requested)
+        for law, acting in self._laws:
+            of_law = {name: values[acting] for name, values in at_effect.items()}
+            requested[acting], action[acting] = self._act(law, of_law, estimate.of(acting))
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
 
@@ -196,36 +192,19 @@ class ObserverLaw(ClassicalLaw):
         They are those of the task's motion: a Taylor series from the observed reference does not
         know where its acceleration jumps, and a light platform then loses the tension of a cable.
         """
-        if not self._tasks:
-            return _extrapolated(instant.blocks, instant.estimate.delay), None
         names = [name for name in _REFERENCE if name in instant.blocks]
         later = {name: np.empty_like(instant.blocks[name]) for name in names}
-        for task, rows in self._rows_by_motion(len(instant.time_to_go)):
+        for task, rows in self._motions:
             motion = task.trajectory(instant.time(task, rows))
             for name in names:
                 later[name][rows] = getattr(motion, _REFERENCE[name])
         return later, None
 
-    def _rows_by_motion(self, count: int) -> list[tuple[Task, NDArray[np.intp]]]:
-        """Each motion's first task and its rows of a batch of ``count`` episodes."""
-        tasks: dict[int, Task] = {}
-        groups: dict[int, list[int]] = {}
-        for row in range(count):
-            task = self._tasks[row % len(self._tasks)]
-            motion = id(task.trajectory)
-            tasks.setdefault(motion, task)
-            groups.setdefault(motion, []).append(row)
-        return [(tasks[motion], np.array(rows)) for motion, rows in groups.items()]
-
-    def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
-        """Requested and saturated actions, each (N, m), for blocks at the instant at which they
-        take effect."""
-        return self._of_law(self.law, blocks, estimate)
-
-    def _of_law(
+    def _act(
         self, law: ClassicalLaw, blocks: dict[str, Array], estimate: RobotEstimate
     ) -> tuple[Array, Array]:
-        """The actions of :meth:`_act` by a law."""
+        """Requested and saturated actions of a law, each (N, m), for blocks at the instant at which
+        they take effect."""
         acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
         blocks = blocks | {"reference_acceleration": acceleration}
         torques, speeds = law.torques(blocks, estimate.mass)
@@ -235,11 +214,7 @@ class ObserverLaw(ClassicalLaw):
         if np.any(is_saturated):
             saturated = {name: values[is_saturated] for name, values in blocks.items()}
             action[is_saturated] = self._reduced(
-                law,
-                requested[is_saturated],
-                saturated,
-                estimate.mass[is_saturated],
-                estimate.strength[is_saturated],
+                law, requested[is_saturated], saturated, estimate.of(is_saturated)
             )
         return requested, np.clip(action, -1.0, 1.0)
 
@@ -248,27 +223,11 @@ class ObserverLaw(ClassicalLaw):
         law: ClassicalLaw,
         requested: Array,
         blocks: dict[str, Array],
-        mass: Array,
-        strength: Array,
+        estimate: RobotEstimate,
     ) -> Array:
         """Actions in place of requested ones beyond ±1, each (N, m)."""
         if not self._allocates:
             return requested
-        slope = law.torque_slope(mass, blocks["pose"])
-        stall = self.robot.stall_torque * strength
+        slope = law.torque_slope(estimate.mass, blocks["pose"])
+        stall = self.robot.stall_torque * estimate.strength
         return allocate(requested, slope / stall[..., None])
-
-
-def _extrapolated(blocks: dict[str, Array], delay: Array) -> dict[str, Array]:
-    """Reference after a delay (N,) [s], by the Taylor series of the observed derivatives."""
-    step = delay[:, None]
-    names = [name for name in _REFERENCE if name in blocks]
-    later = {}
-    for index, name in enumerate(names):
-        value = blocks[name]
-        factor = np.ones_like(step)
-        for order, higher in enumerate(names[index + 1 :], start=1):
-            factor = factor * step / order
-            value = value + factor * blocks[higher]
-        later[name] = value
-    return later

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
@@ -31,9 +30,7 @@ PAPER_GAINS = {
 def by_kind(table: Mapping[str, _T], robot: Robot) -> _T:
     """The entry ``planar`` for a point mass in a plane, and the entry ``spatial`` for the other
     kinds."""
-    if robot.kind == "planar":
-        return table["planar"]
-    return table["spatial"]
+    return table.get(robot.kind, table["spatial"])
 
 
 NAMED_GAINS = {"paper": PAPER_GAINS}
@@ -59,14 +56,6 @@ def checked_gains(
     checked = numbers("gains", gains, shapes=[(2,)], form=form, above=0.0)
     stiffness, damping = checked.tolist()
     return stiffness, damping
-
-
-class OuterLoop(Protocol):
-    """Function from the blocks of an observation to the requested acceleration v, (..., n) [m/s²,
-    rad/s²]."""
-
-    def __call__(self, blocks: Blocks) -> Array:
-        """The requested acceleration v, (..., n)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,29 +106,11 @@ class RobustPD:
     phi: float = 1.2
     """φ, bound of ‖γ⁻¹Δα‖, the error of the nominal forces as an acceleration [m/s², rad/s²]; ≥
     0."""
-    q: ArrayLike = 1.0
-    """Q of Eq. 35 for (e, ė) of each coordinate: a positive factor of the identity, or a symmetric
-    positive definite 2×2 matrix."""
 
     def __post_init__(self) -> None:
-        if not self.boundary_layer > 0:
-            raise ValueError(f"boundary_layer must be greater than 0, not {self.boundary_layer}")
+        number("boundary_layer", self.boundary_layer, above=0.0)
         number("zeta", self.zeta, least=0.0, below=1.0)
         number("phi", self.phi, least=0.0)
-        form = "a positive number or a 2×2 matrix"
-        numbers("q", self.q, shapes=[(), (2, 2)], form=form)
-        is_symmetric = np.array_equal(self.weight, self.weight.T)
-        smallest_eigenvalue, _ = np.linalg.eigvalsh(self.weight)
-        if not is_symmetric or smallest_eigenvalue <= 0:
-            raise ValueError(f"q must be symmetric and positive definite, not {self.q!r}")
-
-    @cached_property
-    def weight(self) -> Array:
-        """Q, shape (2, 2)."""
-        q = np.asarray(self.q, float)
-        if q.ndim == 0:
-            return q * np.eye(2)
-        return q
 
     @cached_property
     def system(self) -> Array:
@@ -149,11 +120,10 @@ class RobustPD:
 
     @cached_property
     def lyapunov(self) -> Array:
-        """P of one coordinate (Eq. 35), shape (2, 2), positive definite."""
+        """P of one coordinate (Eq. 35) for the identity as Q, shape (2, 2), positive definite."""
         from scipy.linalg import solve_continuous_lyapunov  # slow to import
 
-        system = self.system
-        solution: Array = solve_continuous_lyapunov(system.T, -self.weight)
+        solution: Array = solve_continuous_lyapunov(self.system.T, -np.eye(2))
         return solution
 
     def switching(self, blocks: Blocks) -> Array:
@@ -244,6 +214,9 @@ class BoundedRobustPD:
             length = np.maximum(length, 1e-12)
             robust_terms.append(bound / length * s)
         return acceleration + np.concatenate(robust_terms, axis=-1)
+
+
+OuterLoop = PD | RobustPD | BoundedRobustPD
 
 
 def errors(blocks: Blocks) -> tuple[Array, Array]:

@@ -72,43 +72,14 @@ def stiffness_limit(lag: float, spring_frequency: float = math.inf) -> float:
 class Peaks:
     """Largest values along references."""
 
-    jump: float = 0.0
+    jump: float
     """Jump of the acceleration between two control steps [m/s²]."""
-    pulley_speed: float = 0.0
+    pulley_speed: float
     """Speed of a pulley [rad/s]."""
-    pulley_acceleration: float = 0.0
+    pulley_acceleration: float
     """Angular acceleration of a pulley [rad/s²]."""
-    tension_change: float = 0.0
+    tension_change: float
     """Change of a tension within the time 1/ω of the springs [N]; 0 for a rigid robot."""
-
-    @classmethod
-    def of(cls, robot: Robot, task: Task, mass: float) -> Peaks:
-        """The peaks of the reference of a task with a mass [kg]."""
-        model = textbook.joint_equivalent(robot)
-        times = np.arange(task.steps + 1) / task.control_frequency
-        motion = task.trajectory(times)
-        changes = np.diff(motion.acceleration[:, : robot.dimensions], axis=0)
-        required = inverse_dynamics(
-            model,
-            mass,
-            motion.position,
-            motion.velocity,
-            motion.acceleration,
-            minimum=robot.minimum_tension,
-            distribute=textbook.central_tensions,
-        )
-        tension_change = 0.0
-        if robot.flexible:
-            time = 1 / spring_frequency(model)
-            window = max(1, round(time * task.control_frequency))
-            tensions = required.tensions
-            tension_change = _largest(tensions[window:] - tensions[:-window])
-        return cls(
-            jump=_largest(np.linalg.norm(changes, axis=1)),
-            pulley_speed=_largest(required.speeds),
-            pulley_acceleration=_largest(required.pulley_accelerations),
-            tension_change=tension_change,
-        )
 
 
 def _largest(values: Array) -> float:
@@ -132,12 +103,10 @@ class RobustDesign:
 
     expectation: Expectation
     """What is expected of the robot."""
-    period: float
-    """Control period [s]."""
+    task: Task
+    """Task with the motion."""
     largest_payload: float
     """Largest payload that is possible [kg]."""
-    peaks: Peaks
-    """Largest values along the references."""
 
     @cached_property
     def robot(self) -> Robot:
@@ -158,13 +127,36 @@ class RobustDesign:
         platform_error = DEVIATIONS * expected.mass_spread
         return (payload_error + platform_error) / self.mass
 
-    # Gains
+    @cached_property
+    def peaks(self) -> Peaks:
+        """Largest values along the reference with :attr:`mass`."""
+        robot, task = self.robot, self.task
+        times = np.arange(task.steps + 1) / task.control_frequency
+        motion = task.trajectory(times)
+        changes = np.diff(motion.acceleration[:, : robot.dimensions], axis=0)
+        required = inverse_dynamics(
+            robot,
+            self.mass,
+            motion.position,
+            motion.velocity,
+            motion.acceleration,
+            minimum=robot.minimum_tension,
+            distribute=textbook.central_tensions,
+        )
+        tension_change = 0.0
+        if robot.flexible:
+            time = 1 / spring_frequency(robot)
+            window = max(1, round(time * task.control_frequency))
+            tensions = required.tensions
+            tension_change = _largest(tensions[window:] - tensions[:-window])
+        return Peaks(
+            jump=_largest(np.linalg.norm(changes, axis=1)),
+            pulley_speed=_largest(required.speeds),
+            pulley_acceleration=_largest(required.pulley_accelerations),
+            tension_change=tension_change,
+        )
 
-    @property
-    def lag(self) -> float:
-        """Longest time from a reading to its effect [s]: delay, motor lag, half a period."""
-        _, longest = self.expectation.effect_times(self.period)
-        return longest + self.period / 2
+    # Gains
 
     @property
     def spring_frequency(self) -> float:
@@ -174,7 +166,9 @@ class RobustDesign:
     @cached_property
     def stiffness(self) -> float:
         """Ω [1/s]: K_P = Ω² and K_D = 2 Ω inside the boundary layer."""
-        limit = stiffness_limit(self.lag, self.spring_frequency)
+        period = 1 / self.task.control_frequency
+        _, longest = self.expectation.effect_times(period)
+        limit = stiffness_limit(longest + period / 2, self.spring_frequency)
         if self.robot.cables > self.robot.coordinates:
             return limit  # the allocated tension carries the noise
         return min(limit, self.noise_limit)
@@ -208,14 +202,9 @@ class RobustDesign:
     @property
     def _noise(self) -> tuple[Array, Array]:
         """Standard deviations of pose and velocity, each (n,)."""
-        noise = self.expectation.noise
-        pose = self._by_coordinate(noise.position, noise.rotation)
-        velocity = self._by_coordinate(noise.velocity, noise.rotation_rate)
-        return pose, velocity
-
-    def _by_coordinate(self, position: float, rotation: float) -> Array:
-        is_position = np.arange(self.robot.coordinates) < self.robot.dimensions
-        return np.where(is_position, position, rotation)
+        deviations = self.expectation.noise.deviations(self.robot)
+        n = self.robot.coordinates
+        return deviations[:n], deviations[n : 2 * n]
 
     @property
     def _tension_slope(self) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,22 +71,6 @@ def usual_expectation(robot: Robot, *, homing: bool = False) -> Expectation:
     return Expectation.of(robot, uncertainty, start_spread=spread)
 
 
-class Estimator(Protocol):
-    """Estimates pose and velocity of a batch of episodes."""
-
-    def reset(self, tasks: Sequence[Task]) -> None:
-        """Reads the public tasks of the next batch."""
-
-    def update(
-        self, blocks: dict[str, Array], state: Any, starts: NDArray[np.bool_]
-    ) -> tuple[dict[str, Array], Any]:
-        """Estimated blocks by name and the next state, from the blocks of an observation.
-
-        ``pose`` and ``velocity``, each (N, n), are among the estimated blocks. Readings whose
-        constant errors the estimator has found replace the measured ones.
-        """
-
-
 class KinematicEstimator:
     """Pose by forward kinematics, and velocity from the motor speeds; no dynamics and no filter.
 
@@ -121,7 +105,7 @@ class KinematicEstimator:
         pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess).pose
         inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
-        velocity = (inverse @ rates[..., None])[..., 0]
+        velocity = textbook.times_vector(inverse, rates)
         return {"pose": pose, "velocity": velocity}, pose
 
 
@@ -135,10 +119,12 @@ class WinchEstimator:
             :func:`usual_expectation`.
     """
 
+    observer: RobotObserver
+    """Observer of the robots of the tasks; :meth:`reset` makes it."""
+
     def __init__(self, robot: Robot, expectation: Expectation | None = None) -> None:
         self.robot = robot
         self.expectation = expectation or usual_expectation(robot)
-        self.observer: RobotObserver | None = None
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Makes the observer for sensors, control period and start poses of the tasks."""
@@ -154,13 +140,7 @@ class WinchEstimator:
         self, blocks: dict[str, Array], state: ObserverState | None, starts: NDArray[np.bool_]
     ) -> tuple[dict[str, Array], ObserverState]:
         """Pose and velocity, motor angles without their zero errors and tensions without their
-        biases, and the next state. Diverged episodes start anew.
-
-        Raises:
-            RuntimeError: before the first :meth:`reset`.
-        """
-        if self.observer is None:
-            raise RuntimeError("call reset(tasks) first: the tasks tell the sensors")
+        biases, and the next state. Diverged episodes start anew."""
         if state is not None:
             variance = np.diagonal(state.covariance, axis1=-2, axis2=-1)
             values = np.concatenate([state.mean, np.sqrt(np.abs(variance))], axis=-1)
@@ -192,7 +172,12 @@ class Estimated:
 
     measurement = "winches"
 
-    def __init__(self, policy: Policy, robot: Robot, estimator: Estimator | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        robot: Robot,
+        estimator: KinematicEstimator | WinchEstimator | None = None,
+    ) -> None:
         self.policy = policy
         self.robot = robot
         self.estimator = estimator or WinchEstimator(robot)

@@ -26,16 +26,14 @@ UNKNOWN_START = (0.1, 0.1)
 lengths give the same estimates; larger ones leave fewer digits."""
 
 
-def possible_payload(robot: Robot, task: Task | None) -> float:
+def possible_payload(robot: Robot, task: Task) -> float:
     """Largest payload that is considered possible if the payload is unknown [kg]: the one with which
-    the motors can follow the motion exactly, at least the mass of the platform; this mass for an
-    unknown task, or where the motors hold every payload."""
-    payload = float(robot.mass)
-    if task is not None:
-        exact = exact_payload(task.robot, task.trajectory)
-        if math.isfinite(exact.payload):
-            payload = max(payload, exact.payload)
-    return payload
+    the motors can follow the motion exactly, at least the mass of the platform; this mass where the
+    motors hold every payload."""
+    exact = exact_payload(task.robot, task.trajectory).payload
+    if math.isfinite(exact):
+        return max(float(robot.mass), exact)
+    return float(robot.mass)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,11 +84,9 @@ class Expectation:
         start_spread: tuple[float, float] = UNKNOWN_START,
     ) -> Expectation:
         """The expectation for an uncertainty of a nominal robot."""
-        lag = np.array([np.mean(robot.motor_lag)] * 2)
+        shortest = longest = np.asarray(np.mean(robot.motor_lag))
         if "motor_lag" in uncertainty.parameters:
-            lags = uncertainty.parameters["motor_lag"]
-            lag = lags.applied(lag, np.array([lags.low, lags.high]))
-        shortest, longest = lag.tolist()
+            shortest, longest = uncertainty.parameters["motor_lag"].extremes(longest)
         wrench = uncertainty.wrench or ExternalWrench(correlation_time=1.0)
         wrench_mean, wrench_spread = wrench.statistics(robot)
         spread = partial(_spread, robot, uncertainty)
@@ -100,7 +96,7 @@ class Expectation:
         return cls(
             robot=_expected(robot, uncertainty),
             delay=uncertainty.delay_range,
-            lag=(shortest, longest),
+            lag=(float(shortest), float(longest)),
             mass_spread=spread("platform_mass", relative=False),
             payload_spread=_relative_spread(uncertainty, "payload"),
             strength_spread=spread("motor_strength"),

@@ -113,17 +113,6 @@ def _multiply_transposed(left, right, product):
 
 
 @helper
-def _slopes(values):
-    """Derivatives with respect to each coordinate of Ẍ, (n, k), from the values without acceleration
-    and with 1 of each coordinate, (n + 1, k)."""
-    slopes = np.empty_like(values[1:])
-    for b in range(len(slopes)):
-        for a in range(slopes.shape[1]):
-            slopes[b, a] = values[1 + b, a] - values[0, a]
-    return slopes
-
-
-@helper
 def _invert(matrix, inverse):
     """Inverse of a positive definite matrix by Gauss-Jordan elimination, which changes the matrix."""
     size = len(matrix)
@@ -136,12 +125,10 @@ def _invert(matrix, inverse):
             matrix[p, c] *= scale
             inverse[p, c] *= scale
         for a in range(size):
-            if a == p:
-                continue
-            factor = matrix[a, p]
-            for c in range(size):
-                matrix[a, c] -= factor * matrix[p, c]
-                inverse[a, c] -= factor * inverse[p, c]
+            if a != p:
+                factor = -matrix[a, p]
+                _add_multiple(matrix[a], factor, matrix[p])
+                _add_multiple(inverse[a], factor, inverse[p])
 
 
 @helper
@@ -159,56 +146,20 @@ def _dynamics_of_robot(dynamics, i):
 
 
 @helper
-def _write_bias(load, heavier_load, y_slopes, dynamics):
-    """Wrench of weight and velocity of a robot, and the derivative of its bias."""
-    for a in range(len(load)):
-        bias = _add_products(0.0, y_slopes[a], load)
-        heavier_bias = _add_products(0.0, y_slopes[a], heavier_load)
-        dynamics.bias_per_mass[a] = heavier_bias - bias
-        dynamics.passive_wrench[a] = -bias
-
-
-@helper
-def _add_drag(pulley_acceleration, pulleys, dynamics):
-    """Adds the wrench of the pulleys of a robot, with accelerations (m,) [rad/s²]."""
+def _add_pulleys(pulleys, pulley_acceleration, dynamics, inertia):
+    """Adds the wrench and the inertia of the pulleys of a robot, with accelerations (m,)
+    [rad/s²]."""
+    wrench = dynamics.passive_wrench
     for j in range(len(pulley_acceleration)):
-        drag = pulleys[1, j] * pulley_acceleration[j]
+        radius = pulleys[0, j]
+        rotor_inertia = pulleys[1, j]
+        pull = dynamics.structure[j]
+        drag = rotor_inertia * pulley_acceleration[j]
         drag += pulleys[2, j] * dynamics.pulley_speed[j]
-        for a in range(len(dynamics.passive_wrench)):
-            force = dynamics.structure[j, a] * drag
-            dynamics.passive_wrench[a] += force / pulleys[0, j]
-
-
-@helper
-def _write_mass_matrix(load, heavier_load, y_slopes, dynamics, inertia):
-    """Mass matrix of a robot, in ``inertia``, and its derivative, from loads (n + 1, n)."""
-    _multiply_transposed(y_slopes, _slopes(load), inertia)
-    _multiply_transposed(y_slopes, _slopes(heavier_load), dynamics.matrix_per_mass)
-    for a in range(len(inertia)):
-        for b in range(len(inertia)):
-            dynamics.matrix_per_mass[a, b] -= inertia[a, b]
-
-
-@helper
-def _add_rotors(pulleys, structure, inertia):
-    """Adds the inertia of the pulleys, for S, (m, n), of a robot."""
-    for j in range(len(structure)):
-        rotor_mass = pulleys[1, j] / (pulleys[0, j] * pulleys[0, j])
-        for a in range(len(inertia)):
-            factor = structure[j, a] * rotor_mass
-            for b in range(len(inertia)):
-                inertia[a, b] += factor * structure[j, b]
-
-
-@helper
-def _write_torque_slope(radius, dynamics):
-    """Acceleration of a robot by the torques on its pulleys."""
-    slope = dynamics.torque_slope
-    _multiply_transposed(dynamics.mobility, dynamics.structure, slope)
-    for a in range(len(slope)):
-        for j in range(len(radius)):
-            # unlike −x, 0.0 − x is never a negative zero
-            slope[a, j] = (0.0 - slope[a, j]) / radius[j]
+        rotor_mass = rotor_inertia / (radius * radius)
+        for a in range(len(wrench)):
+            wrench[a] += pull[a] * drag / radius
+            _add_multiple(inertia[a], pull[a] * rotor_mass, pull)
 
 
 @entry_point(seconds=lambda demand, *_: 1e-6 * demand.structure.size)
@@ -220,19 +171,27 @@ def _combine(demand, pulleys, dynamics):
     inertia = np.empty(dynamics.mobility.shape[1:])
     for i in range(len(dynamics.mobility)):
         robot_dynamics = _dynamics_of_robot(dynamics, i)
-        structure = robot_dynamics.structure
-        for j in range(len(structure)):
-            robot_dynamics.pulley_speed[j] = demand.speeds[0, i, 0, j]
+        robot_dynamics.pulley_speed[:] = demand.speeds[0, i, 0]
         load = demand.load[0, i]
         heavier_load = demand.load[1, i]
-        y_slopes = _slopes(demand.y[0, i])
-        _multiply_transposed(demand.structure[0, i, 0], y_slopes, structure)
-        _write_bias(load[0], heavier_load[0], y_slopes, robot_dynamics)
-        _add_drag(demand.pulley_accelerations[0, i, 0], pulleys, robot_dynamics)
-        _write_mass_matrix(load, heavier_load, y_slopes, robot_dynamics, inertia)
-        _add_rotors(pulleys, structure, inertia)
+        y = demand.y[0, i]
+        y_slopes = y[1:] - y[0]
+        _multiply_transposed(demand.structure[0, i, 0], y_slopes, robot_dynamics.structure)
+        for a in range(len(y_slopes)):
+            bias = _add_products(0.0, y_slopes[a], load[0])
+            heavier_bias = _add_products(0.0, y_slopes[a], heavier_load[0])
+            robot_dynamics.bias_per_mass[a] = heavier_bias - bias
+            robot_dynamics.passive_wrench[a] = -bias
+        _multiply_transposed(y_slopes, load[1:] - load[0], inertia)
+        heavier_slopes = heavier_load[1:] - heavier_load[0]
+        _multiply_transposed(y_slopes, heavier_slopes, robot_dynamics.matrix_per_mass)
+        dynamics.matrix_per_mass[i] -= inertia
+        _add_pulleys(pulleys, demand.pulley_accelerations[0, i, 0], robot_dynamics, inertia)
         _invert(inertia, robot_dynamics.mobility)
-        _write_torque_slope(pulleys[0], robot_dynamics)
+        slope = robot_dynamics.torque_slope
+        _multiply_transposed(robot_dynamics.mobility, robot_dynamics.structure, slope)
+        # unlike −x, 0.0 − x is never a negative zero
+        dynamics.torque_slope[i] = (0.0 - slope) / pulleys[0]
 
 
 @entry_point(seconds=lambda delay, period: 1e-5 * len(delay))
@@ -305,11 +264,9 @@ def weigh(actions, weights, rates, sent, speed, strength, mass, holding, motors,
 @helper
 def _accelerate(dynamics, torque, wrench, acceleration):
     """Ẍ of a robot with torques, (m,), and a wrench, (n,)."""
+    force = wrench + dynamics.passive_wrench
     for a in range(len(acceleration)):
-        total = 0.0
-        for b in range(len(wrench)):
-            force = wrench[b] + dynamics.passive_wrench[b]
-            total += dynamics.mobility[a, b] * force
+        total = _add_products(0.0, dynamics.mobility[a], force)
         acceleration[a] = _add_products(total, dynamics.torque_slope[a], torque)
 
 
@@ -319,9 +276,8 @@ def _write_slopes(dynamics, gradient, by_pose, acceleration, wrench, mass, slope
     with respect to the pose at constant torques."""
     n, m = dynamics.torque_slope.shape
     slopes[:] = 0.0
+    slopes[:, :n] = by_pose
     for a in range(n):
-        for b in range(n):
-            slopes[a, b] = by_pose[a, b]
         for j in range(m):
             _add_multiple(slopes[a], dynamics.torque_slope[a, j], gradient[j])
         for b in range(n):
@@ -348,26 +304,6 @@ def _write_transition(slopes, wrench, period, decay, transition):
 
 
 @helper
-def _move(acceleration, wrench, period, decay, mean):
-    """Changes the mean of a robot to that after a period."""
-    n = len(acceleration)
-    for a in range(n):
-        mean[a] += period * mean[n + a] + period * period / 2 * acceleration[a]
-        mean[n + a] += period * acceleration[a]
-        mean[wrench + a] *= decay
-
-
-@helper
-def _symmetrise(matrix):
-    """Replaces each pair of entries by its mean."""
-    for c in range(len(matrix)):
-        for d in range(c):
-            entry = (matrix[c, d] + matrix[d, c]) / 2
-            matrix[c, d] = entry
-            matrix[d, c] = entry
-
-
-@helper
 def _multiply(sparse, matrix, product):
     """Product of a matrix with many zeros and another matrix."""
     product[:] = 0.0
@@ -378,15 +314,6 @@ def _multiply(sparse, matrix, product):
                 continue
             for c in range(product.shape[1]):
                 product[a, c] += factor * matrix[b, c]
-
-
-@helper
-def _add_jumps(torque_slope, jumps, period, covariance):
-    """Adds the variances of velocities that change at once by errors of the torques, (m,)."""
-    for a in range(len(torque_slope)):
-        for j in range(len(jumps)):
-            jump = period * torque_slope[a, j] * jumps[j]
-            covariance[a, a] += jump * jump
 
 
 @entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
@@ -432,15 +359,19 @@ def predict(
         _accelerate(robot_dynamics, torque[i], estimated_wrench, acceleration)
         _write_slopes(robot_dynamics, gradient[i], by_pose[i], acceleration, wrench, mass, slopes)
         _write_transition(slopes, wrench, period, decay, transition)
-        _move(acceleration, wrench, period, decay, mean[i])
+        mean[i, :n] += period * mean[i, n : 2 * n] + period * period / 2 * acceleration
+        mean[i, n : 2 * n] += period * acceleration
+        mean[i, wrench : wrench + n] *= decay
         # F P Fᵀ = F (F P)ᵀ
         _multiply(transition, covariance[i], product)
         _multiply(transition, product.T, covariance[i])
-        _symmetrise(covariance[i])
+        covariance[i] = (covariance[i] + covariance[i].T) / 2
         for c in range(size):
             covariance[i, c, c] += growth[i, c]
-        velocity_covariance = covariance[i, n : 2 * n, n : 2 * n]
-        _add_jumps(robot_dynamics.torque_slope, jumps[i], period, velocity_covariance)
+        for a in range(n):
+            for j in range(jumps.shape[1]):
+                jump = period * dynamics.torque_slope[i, a, j] * jumps[i, j]
+                covariance[i, n + a, n + a] += jump * jump
 
 
 @entry_point(seconds=lambda innovation, gradient, *_: _product_seconds(gradient))
@@ -468,9 +399,8 @@ def correct(innovation, gradient, variance, mean, covariance):
             unexplained = innovation[i, k]
             for a in range(size):
                 unexplained -= slopes[a] * change[a]
+            change += crossed * unexplained / total
             for a in range(size):
-                change[a] += crossed[a] * unexplained / total
                 for b in range(size):
                     covariance[i, a, b] -= crossed[a] * crossed[b] / total
-        for a in range(size):
-            mean[i, a] += change[a]
+        mean[i] += change

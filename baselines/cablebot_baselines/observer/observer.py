@@ -79,7 +79,7 @@ class RobotObserver:
         largest_payload: largest payload that is considered possible if the payload is unknown, one
             or one for each of N episodes [kg].
         measurement: the sensors.
-        start_pose: start poses of the tasks, (N, n) or (1, n), for winches; None for the home pose.
+        start_pose: start poses of the tasks, (N, n) or (1, n), if winches are measured.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class RobotObserver:
         *,
         largest_payload: ArrayLike,
         measurement: Measurement = POSE,
-        start_pose: ArrayLike | None = None,
+        start_pose: Array | None = None,
     ) -> None:
         self.expectation = expectation
         self.robot = textbook.joint_equivalent(expectation.robot)
@@ -106,9 +106,8 @@ class RobotObserver:
         self._acceleration_noise = ACCELERATION_NOISE * unit
         self._pose = PoseSensors(expectation, self.columns)
         self._winches = None
-        if measurement.winches:
-            poses = np.atleast_2d(robot.home if start_pose is None else start_pose)
-            self._winches = WinchSensors(expectation, self.columns, measurement, poses, period)
+        if start_pose is not None:
+            self._winches = WinchSensors(expectation, self.columns, measurement, start_pose, period)
         self._torques = Torques(expectation, self.columns, period, self._winches)
         self._least_growth = self._growth_without_mass()
 
@@ -116,17 +115,11 @@ class RobotObserver:
         """The estimates in a state of the filter."""
         columns = self.columns
         mean = state.mean
-        zero = mean[:, columns.zero]
-        if not zero.size:
-            zero = state.motor_angle
         return RobotEstimate(
-            pose=mean[:, columns.pose],
-            velocity=mean[:, columns.velocity],
             mass=mean[:, columns.mass],
             strength=mean[:, columns.strength],
             delay=mean[:, columns.delay],
             wrench=mean[:, columns.wrench],
-            zero=zero,
         )
 
     def update(
@@ -158,17 +151,15 @@ class RobotObserver:
         pose = mean[:, columns.pose].copy()
         count = len(pose)
         # the torque is affine in the mass
-        light = self._holding_torque(robot.mass, pose)
-        heavy = self._holding_torque(2 * robot.mass, pose)
+        masses = np.full(count, robot.mass)
+        light = textbook.static_torque(robot, masses, pose)
+        heavy = textbook.static_torque(robot, 2 * masses, pose)
         per_mass = (heavy - light) / robot.mass
         without_mass = light - per_mass * robot.mass
         holding = np.stack([per_mass, without_mass], axis=-1)
         mass = mean[:, columns.mass, None].copy()
-        angle = np.zeros((count, robot.cables))
-        speed = angle
-        if robot.flexible:
-            angle = blocks["motor_angle"]
-            speed = blocks["motor_speed"]
+        at_rest = np.zeros((count, robot.cables))
+        angle = blocks.get("motor_angle", at_rest)
         if self._winches is not None:
             self._winches.correct_at_rest(blocks, mean, covariance)
         elif robot.flexible:
@@ -179,7 +170,7 @@ class RobotObserver:
             steps=np.zeros(count),
             holding=holding,
             motor_angle=angle,
-            motor_speed=speed,
+            motor_speed=blocks.get("motor_speed", at_rest),
             tensions=(per_mass * mass + without_mass) / robot.pulley_radius,
             dynamics=self._dynamics(mean),
         )
@@ -239,9 +230,6 @@ class RobotObserver:
         noise = (stiffness * expected.noise.motor_angle) ** 2 + LEAST_BALANCE_VARIANCE
         variance = np.repeat(noise[None], count, axis=0)
         correct(innovation, gradient, variance, mean, covariance)
-
-    def _holding_torque(self, mass: float, pose: Array) -> Array:
-        return textbook.static_torque(self.robot, np.full(len(pose), mass), pose)
 
     # One control period
 
@@ -401,19 +389,21 @@ class RobotObserver:
 
     def _rigid_at_effect(self, blocks: Blocks, state: ObserverState, weights: Array) -> Blocks:
         """Pose and velocity of a rigid robot when the next action takes effect."""
-        now = self.estimate(state)
-        delay = now.delay[:, None]
+        columns = self.columns
+        mean = state.mean
+        delay = mean[:, columns.delay, None]
+        velocity = mean[:, columns.velocity]
         dynamics = state.dynamics
         speed = dynamics.pulley_speed
         rates = np.zeros_like(weights)
         drives = self._torques.drives(blocks, weights, rates, state.steps, state, speed)
         torque = drives.torque - textbook.coulomb_torque(self.robot, speed)
         torque = torque / (1 + textbook.load_friction(self.robot, speed))
-        acceleration = dynamics.acceleration(torque, now.wrench)
-        displacement = delay * now.velocity
+        acceleration = dynamics.acceleration(torque, mean[:, columns.wrench])
+        displacement = delay * velocity
         return {
-            "pose": now.pose + displacement + delay**2 / 2 * acceleration,
-            "velocity": now.velocity + delay * acceleration,
+            "pose": mean[:, columns.pose] + displacement + delay**2 / 2 * acceleration,
+            "velocity": velocity + delay * acceleration,
         }
 
     def _flexible_at_effect(self, blocks: Blocks, state: ObserverState, weights: Array) -> Blocks:
@@ -421,21 +411,23 @@ class RobotObserver:
         takes effect."""
         robot = self.robot
         dynamics = state.dynamics
-        now = self.estimate(state)
-        pose = now.pose
-        velocity = now.velocity
-        angle = blocks["motor_angle"] - now.zero
+        columns = self.columns
+        mean = state.mean
+        pose = mean[:, columns.pose]
+        velocity = mean[:, columns.velocity]
+        wrench = mean[:, columns.wrench]
+        angle = blocks["motor_angle"] - mean[:, columns.zero]
         speed = blocks["motor_speed"]
         rates = np.zeros_like(weights)
         twist = angle - textbook.pulley_angle(robot, pose)
         stiffness = textbook.joint_stiffness(robot, pose)
-        step = now.delay[:, None] / _AHEAD_STEPS
+        step = mean[:, columns.delay, None] / _AHEAD_STEPS
         for _ in range(_AHEAD_STEPS):
             drives = self._torques.drives(blocks, weights, rates, state.steps, state, speed)
             spring = stiffness * twist
             net_torque = drives.torque - spring - textbook.motor_friction(robot, speed, spring)
             speed = speed + step * net_torque / robot.motor_inertia
-            velocity = velocity + step * dynamics.acceleration(spring, now.wrench)
+            velocity = velocity + step * dynamics.acceleration(spring, wrench)
             pose = pose + step * velocity
             angle = angle + step * speed
             winding = times_vector(dynamics.structure, velocity) / robot.pulley_radius

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.observer.filtering import Dynamics
@@ -62,10 +60,6 @@ class Columns:
 class RobotEstimate:
     """What the observer knows of N robots."""
 
-    pose: Array
-    """Pose X, (N, n) [m, rad]."""
-    velocity: Array
-    """Velocity Ẋ, (N, n) [m/s, rad/s]."""
     mass: Array
     """Mass of platform and payload, (N,) [kg]."""
     strength: Array
@@ -74,12 +68,9 @@ class RobotEstimate:
     """Time between the request of an action and its torque, (N,) [s]."""
     wrench: Array
     """Wrench on the platform, (N, n) [N, N·m]."""
-    zero: Array
-    """Zero error of each motor angle, (N, m) [rad]; zero for a rigid robot whose pose is
-    measured."""
 
-    def of(self, rows: NDArray[np.intp]) -> RobotEstimate:
-        """The estimates of some of the robots."""
+    def of(self, rows: Any) -> RobotEstimate:
+        """The estimates of some of the robots: indices, marks or a slice."""
         return RobotEstimate(**{name: values[rows] for name, values in vars(self).items()})
 
 
@@ -96,9 +87,9 @@ class ObserverState:
     holding: Array
     """Torque per mass that holds the robot at the start, (N, m) [N·m/kg], and that without mass."""
     motor_angle: Array
-    """Last motor angles of a flexible robot, (N, m) [rad]; zero for a rigid robot."""
+    """Last motor angles, (N, m) [rad]; zero if they are not measured."""
     motor_speed: Array
-    """Last motor speeds of a flexible robot, (N, m) [rad/s]; zero for a rigid robot."""
+    """Last motor speeds, (N, m) [rad/s]; zero if they are not measured."""
     tensions: Array
     """Predicted tensions in the last control period where cells measure them, (N, m) [N]; else
     zero."""

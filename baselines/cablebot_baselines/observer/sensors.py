@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -46,10 +47,11 @@ class Readings(NamedTuple):
     @classmethod
     def joined(cls, parts: list[Readings]) -> Readings:
         """Readings of several kinds."""
+        innovations, gradients, variances = zip(*parts, strict=True)
         return cls(
-            innovation=np.concatenate([part.innovation for part in parts], axis=-1),
-            gradient=np.concatenate([part.gradient for part in parts], axis=-2),
-            variance=np.concatenate([part.variance for part in parts], axis=-1),
+            innovation=np.concatenate(innovations, axis=-1),
+            gradient=np.concatenate(gradients, axis=-2),
+            variance=np.concatenate(variances, axis=-1),
         )
 
     def correct(self, mean: Array, covariance: Array) -> None:
@@ -82,14 +84,9 @@ class PoseSensors:
     """
 
     def __init__(self, expectation: Expectation, columns: Columns) -> None:
-        robot = expectation.robot
-        noise = expectation.noise
-        is_position = np.arange(robot.coordinates) < robot.dimensions
-        pose_noise = np.where(is_position, noise.position, noise.rotation)
-        velocity_noise = np.where(is_position, noise.velocity, noise.rotation_rate)
-        deviations = np.concatenate([pose_noise, velocity_noise])
+        deviations = expectation.noise.deviations(expectation.robot)
         self._columns = columns
-        self._variance = deviations**2 + LEAST_VARIANCE
+        self._variance = deviations[: columns.mass] ** 2 + LEAST_VARIANCE
         self._gradient = np.eye(columns.mass, columns.total)
 
     def start(self, blocks: Blocks, mean: Array, variance: Array) -> None:
@@ -180,28 +177,20 @@ class WinchSensors:
         noise = self._expectation.noise
         pose = mean[:, columns.pose]
         torque, by_pose, by_mass = _static(robot, mean[:, columns.mass], pose)
-        turning = -textbook.jacobian(robot, pose) / robot.pulley_radius[:, None]
-        anchor_error, by_anchors = self.anchor_error(mean, pose)
-        predicted = textbook.pulley_angle(robot, pose) + mean[:, columns.zero] + anchor_error
-        compliance = np.zeros((robot.cables, 1))
-        by_compliance = np.zeros((robot.cables, 0))
+        deflections = []
+        slopes: list[tuple[slice | int, Array]] = []
         if robot.flexible:
-            compliance = 1 / textbook.joint_stiffness(robot, pose)[..., None]
-            deflection = compliance[..., 0] * torque
-            predicted = predicted + deflection
+            compliance = 1 / textbook.joint_stiffness(robot, pose)
+            deflection = compliance * torque
+            deflections = [deflection]
+            slopes = [
+                (columns.pose, compliance[..., None] * by_pose),
+                (columns.mass, compliance * by_mass),
+            ]
             if columns.compliance.stop > columns.compliance.start:
-                predicted = predicted + deflection * mean[:, columns.compliance]
-                by_compliance = deflection[..., None] * np.eye(robot.cables)
-        angles = self._readings(
-            blocks["motor_angle"] - predicted,
-            self.angle_deviation**2,
-            (columns.pose, turning + compliance * by_pose),
-            (columns.mass, compliance[..., 0] * by_mass),
-            (columns.zero, np.eye(robot.cables)),
-            (columns.compliance, by_compliance),
-            (columns.anchor, by_anchors),
-        )
-        parts = [angles]
+                deflections.append(deflection * mean[:, columns.compliance])
+                slopes.append((columns.compliance, deflection[..., None] * np.eye(robot.cables)))
+        parts = [self._angles(blocks, mean, self.angle_deviation**2, deflections, slopes)]
         if "tensions" in blocks:
             radius = robot.pulley_radius
             cells = self._readings(
@@ -229,7 +218,9 @@ class WinchSensors:
         """
         parts = []
         if not self._robot.flexible:
-            parts += [self._angles(blocks, mean), self._speeds(blocks, mean)]
+            noise = self._expectation.noise.motor_angle**2
+            variance = noise + self.quantisation(blocks["motor_speed"])
+            parts += [self._angles(blocks, mean, variance), self._speeds(blocks, mean)]
         if "tensions" in blocks:
             parts.append(self._tensions(blocks, mean, period, last_tensions))
         if "orientation" in blocks:
@@ -273,21 +264,37 @@ class WinchSensors:
         gradient: Array = by_cable.reshape(len(pose), robot.cables, -1)
         return gradient / robot.pulley_radius[:, None]
 
-    def _angles(self, blocks: Blocks, mean: Array) -> Readings:
-        """Motor angles of a rigid robot."""
+    def _angles(
+        self,
+        blocks: Blocks,
+        mean: Array,
+        variance: ArrayLike,
+        deflections: Sequence[Array] = (),
+        slopes: Sequence[tuple[slice | int, Array]] = (),
+    ) -> Readings:
+        """Motor angles, with deflections of springs (N, m) [rad] and their derivatives with respect
+        to some columns of the state."""
         robot = self._robot
         columns = self._columns
         pose = mean[:, columns.pose]
-        turning = -textbook.jacobian(robot, pose) / robot.pulley_radius[:, None]
         anchor_error, by_anchors = self.anchor_error(mean, pose)
         predicted = textbook.pulley_angle(robot, pose) + mean[:, columns.zero] + anchor_error
+        for deflection in deflections:
+            predicted = predicted + deflection
         return self._readings(
             blocks["motor_angle"] - predicted,
-            self._expectation.noise.motor_angle**2 + self.quantisation(blocks["motor_speed"]),
-            (columns.pose, turning),
+            variance,
+            (columns.pose, self._turning(pose)),
             (columns.zero, np.eye(robot.cables)),
             (columns.anchor, by_anchors),
+            *slopes,
         )
+
+    def _turning(self, pose: Array) -> Array:
+        """Derivatives of the pulley angles with respect to poses (N, n), (N, m, n)."""
+        robot = self._robot
+        turning: Array = -textbook.jacobian(robot, pose) / robot.pulley_radius[:, None]
+        return turning
 
     def _speeds(self, blocks: Blocks, mean: Array) -> Readings:
         """Motor speeds of a rigid robot."""
@@ -295,7 +302,7 @@ class WinchSensors:
         columns = self._columns
         velocity = mean[:, columns.velocity]
         pose = mean[:, columns.pose]
-        turning = -textbook.jacobian(robot, pose) / robot.pulley_radius[:, None]
+        turning = self._turning(pose)
         rate = textbook.jacobian_rate(robot, pose, velocity)
         error, by_anchors = self.anchor_error(mean, pose)
         last_error, last_by_anchors = self.anchor_error(mean, pose - self._period * velocity)

@@ -33,8 +33,22 @@ _DEGREE = 3
 _TIME_SCALE = 0.05
 """Time that scales velocities (bound per time) and accelerations (bound per time²) [s]."""
 
+_FIRST_ITERATIONS = 3
+"""Number of quadratic programs for a plan without a previous plan as initial guess."""
+
 _DIFFERENCE = 1e-6
 """Step of the difference quotients along X [m, rad] and Ẋ [m/s, rad/s]."""
+
+
+_SMOOTHNESS_WEIGHT = 1e-6
+"""Weight of the sum of squared acceleration steps between instants, in bounds per (50 ms)²."""
+
+_ACTION_EXCESS_WEIGHT = 100.0
+"""Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in units of
+10 N."""
+
+_ERROR_EXCESS_WEIGHT = 1000.0
+"""Weight of the largest constraint violation of errors, in units of their bounds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,13 +71,6 @@ class Tuning:
     """Weight of the squared error at the end of the horizon; the reference after it is unknown."""
     end_velocity_weight: float
     """Weight of the squared velocity error at the end of the horizon, in bounds per 50 ms."""
-    smoothness_weight: float
-    """Weight of the sum of squared acceleration steps between instants, in bounds per (50 ms)²."""
-    action_excess_weight: float = 100.0
-    """Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in
-    units of 10 N."""
-    error_excess_weight: float = 1000.0
-    """Weight of the largest constraint violation of errors, in units of their bounds."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,7 +193,6 @@ class HorizonProgram:
         self.instants = np.linspace(0.0, HORIZON, count)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
-        self._bases_of_instants = np.moveaxis(self._bases, 0, -1)
         self._fit = np.linalg.pinv(self._bases[0])
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
@@ -231,8 +237,8 @@ class HorizonProgram:
         inputs = self._quadratic.inputs
         np.fill_diagonal(inputs["h"], 1.0)
         gradient = inputs["g"]
-        gradient[-2] = self.tuning.action_excess_weight
-        gradient[-1] = self.tuning.error_excess_weight
+        gradient[-2] = _ACTION_EXCESS_WEIGHT
+        gradient[-1] = _ERROR_EXCESS_WEIGHT
         matrix = inputs["a"]
         matrix[self._actions, -2] = -1.0
         # Null-space tensions can always be raised. Without a null space the tension constraints are
@@ -266,7 +272,6 @@ class HorizonProgram:
         target: Target,
         *,
         robot: ExpectedRobot,
-        iterations: int = 1,
     ) -> Array:
         """Control points (points, n) of a plan, from the reference as the first guess.
 
@@ -275,13 +280,12 @@ class HorizonProgram:
             velocity: Ẋ, (n,) [m/s, rad/s].
             target: what the plan has to do.
             robot: what is expected of the robot.
-            iterations: number of quadratic programs to solve in sequence.
 
         Raises:
             PlanningError: if one of the quadratic programs has no solution.
         """
         plan = self._with_start(self._fit @ target.reference, pose, velocity)
-        for _ in range(iterations):
+        for _ in range(_FIRST_ITERATIONS):
             program = self.assembled(self.linearised(plan, robot), target)
             plan = self.solved(program, pose, velocity)
         return plan
@@ -304,8 +308,6 @@ class HorizonProgram:
         varied = self._varied(motion)
         masses = np.full(varied.shape[1:3], mass)
         demand = demands(robot, masses, varied)
-        if not np.isfinite(demand.pulley_accelerations).all():
-            raise PlanningError("the pose is singular")
         structure = np.swapaxes(demand.structure, -1, -2)
         try:
             inverse, null_space = _inverse_and_null_space(structure[0])
@@ -434,11 +436,13 @@ class HorizonProgram:
         start_change = (plan - program.plan)[:2].ravel()
         gradient = program.gradient + program.start_gradient @ start_change
         limit = program.limit - program.start_matrix @ start_change
+        if not (np.isfinite(gradient).all() and np.isfinite(limit).all()):
+            raise PlanningError("the linearised equations are not finite")
         inputs = self._quadratic.inputs
         inputs["g"][:-2, 0] = gradient
         inputs["a"][:, :-2] = program.matrix.T
         inputs["uba"][:, 0] = limit
-        change = program.whitening @ self._solution()
+        change = program.whitening @ self._quadratic()[:-2]
         free_points = plan[2:]
         point_changes = change[: free_points.size]
         free_points += point_changes.reshape(free_points.shape)
@@ -516,7 +520,7 @@ class HorizonProgram:
         weights[:count] = tuning.error_weight / count
         weights[count - 1] += tuning.end_error_weight
         weights[count] = tuning.end_velocity_weight * _TIME_SCALE**2
-        weights[count + 1 :] = tuning.smoothness_weight * _TIME_SCALE**4
+        weights[count + 1 :] = _SMOOTHNESS_WEIGHT * _TIME_SCALE**4
         gradient = (slope * np.repeat(weights, n)[:, None]).T
         error_slope = slope[: count * n]
         limited_slope = error_slope[n:]
@@ -544,23 +548,9 @@ class HorizonProgram:
         count, rows, _ = by_motion.shape
         n = self.robot.coordinates
         by_order = by_motion.reshape(count, rows, 3, n).swapaxes(1, 2)
-        slope = self._bases_of_instants @ by_order.reshape(count, 3, rows * n)
+        slope = np.moveaxis(self._bases, 0, -1) @ by_order.reshape(count, 3, rows * n)
         by_point = slope.reshape(count, -1, rows, n).swapaxes(1, 2)
         return by_point.reshape(count, rows, -1)
-
-    def _solution(self) -> Array:
-        """Solves the program and returns the variables without the excesses."""
-        solver = self._quadratic
-        for name in ("g", "uba"):
-            if not np.isfinite(solver.inputs[name]).all():
-                raise PlanningError("the linearised equations are not finite")
-        try:
-            variables = solver()[:-2]
-        except RuntimeError as error:
-            raise PlanningError(str(error)) from error
-        if not np.isfinite(variables).all():
-            raise PlanningError("the solver failed")
-        return variables
 
 
 class _BufferedSolver:
@@ -590,11 +580,14 @@ class _BufferedSolver:
         """Solves the program and returns its variables. The next call overwrites them.
 
         Raises:
-            RuntimeError: if CasADi rejects the inputs, or the solver fails.
+            PlanningError: if CasADi rejects the inputs, or the solver fails.
         """
-        self._evaluate()
-        if not self._buffer.stats()["success"]:
-            raise RuntimeError("the solver failed")
+        try:
+            self._evaluate()
+        except RuntimeError as error:
+            raise PlanningError(str(error)) from error
+        if not (self._buffer.stats()["success"] and np.isfinite(self._variables).all()):
+            raise PlanningError("the solver failed")
         return self._variables
 
 

@@ -8,17 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cablebot_baselines.entries import entry
 from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
 from cablebot_baselines.laws.law import Array
-from cablebot_baselines.laws.observer_law import (
-    UNCERTAINTY,
-    Instant,
-    ObserverLaw,
-    observed_gains,
-)
+from cablebot_baselines.laws.observer_law import UNCERTAINTY, Instant, ObserverLaw
 from cablebot_baselines.laws.outer_loop import by_kind
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.horizon import (
@@ -53,7 +47,6 @@ TUNING = {
         error_weight=0.1,
         end_error_weight=0.0,
         end_velocity_weight=1.0,
-        smoothness_weight=1e-6,
     ),
     "spatial": Tuning(
         intervals=7,
@@ -63,7 +56,6 @@ TUNING = {
         error_weight=0.3,
         end_error_weight=0.3,
         end_velocity_weight=3.0,
-        smoothness_weight=1e-6,
     ),
 }
 """Tuning with the largest DLCC on the paper's circles."""
@@ -72,9 +64,6 @@ PAYLOAD_OF_PLANS = 1.6
 """Largest payload of a plan within the error bounds, as a multiple of that with which the motors can
 track the reference exactly."""
 
-_FIRST_ITERATIONS = 3
-"""Number of quadratic programs for a plan without a previous plan as initial guess."""
-
 _PLANNED = ("reference_pose", "reference_velocity", "reference_acceleration")
 """Blocks in which a plan replaces the reference."""
 
@@ -82,20 +71,28 @@ _MAX_ERROR_RATIO = 2.0
 """Tracking error beyond which the controller does not plan, as a multiple of the error bounds."""
 
 
+GAINS, PLANAR_GAINS = (400.0, 40.0), (900.0, 60.0)
+"""(K_P, K_D) of the law that tracks the plan, and those of a robot in a plane [1/s², 1/s].
+
+Higher ones amplify the noise of the sensors; with lower ones a platform in a plane turns too far
+where the motors have less friction.
+"""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannerState:
-    """Plans between two control steps; each array has a leading axis N."""
+    """Plan of one environment between two control steps."""
 
-    steps: Array
-    """Number of steps since the start of the episode, (N,)."""
-    plans: tuple[Array | None, ...]
-    """Control points (points, n) of the plan of each environment; None without a valid plan."""
-    plan_age: Array
-    """Time since the start of each plan, (N,) [s]."""
-    pending: tuple[Linearisation | Program | None, ...]
-    """Finished parts of the next plan of each environment; None if there are none."""
-    out_of_range: NDArray[np.bool_]
-    """Whether the platform is too far from its reference to plan, (N,)."""
+    step: int = 0
+    """Number of steps since the start of the episode."""
+    plan: Array | None = None
+    """Control points (points, n); None without a valid plan."""
+    age: float = 0.0
+    """Time since the start of the plan [s]."""
+    pending: Linearisation | Program | None = None
+    """Finished parts of the next plan; None if there are none."""
+    out_of_range: bool = False
+    """Whether the platform is too far from its reference to plan."""
 
 
 class NonlinearMPC(ObserverLaw):
@@ -110,36 +107,28 @@ class NonlinearMPC(ObserverLaw):
     one step makes the plan.
 
     If the solver fails, the controller tracks the last plan until its end, and then the reference
-    itself. If the platform is too far from the reference to plan, or the task is unknown because
-    :meth:`reset` was not called, the controller also tracks the reference. :attr:`fallbacks` counts
-    these cases.
+    itself. If the platform is too far from the reference to plan, the controller also tracks the
+    reference. :attr:`fallbacks` counts these cases.
 
     Args:
         robot: nominal rigid robot.
-        tuning: tuning of the plans; None for :data:`TUNING`.
-        gains: (K_P, K_D) of the law that tracks the plan; None for
-            :func:`~cablebot_baselines.laws.observer_law.observed_gains`.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if the robot has joint springs or motors with lag.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        tuning: Tuning | None = None,
-        *,
-        gains: tuple[float, float] | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot) -> None:
         if robot.flexible:
             raise ValueError(f"nmpc needs a rigid robot, not {robot.springs}")
-        tuning = tuning or by_kind(TUNING, robot)
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
-        self.program = HorizonProgram(robot, tuning)
+        gains = GAINS
+        if robot.planar:
+            gains = PLANAR_GAINS
+        self.program = HorizonProgram(robot, by_kind(TUNING, robot))
         law = FeedbackLinearization(
             expectation.robot,
-            gains=gains or observed_gains(robot),
+            gains=gains,
             minimum_tension=self.program.minimum_tension,
         )
         super().__init__(law, expectation, payload_prior=PAYLOAD_OF_PLANS)
@@ -156,120 +145,90 @@ class NonlinearMPC(ObserverLaw):
         super().reset(tasks)
         self.fallbacks = 0
 
-    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
+    def reference(
+        self, instant: Instant, memory: Any
+    ) -> tuple[dict[str, Array], list[PlannerState]]:
         """The plans at the instant at which the action takes effect in place of the reference, and
         the plans for the next step."""
-        planner = self._advanced(memory, instant.starts)
-        phase = planner.steps % STEPS_PER_PLAN
-        if np.any(phase == 0):
-            planner = self._replanned(instant, planner, np.flatnonzero(phase == 0))
-        if np.any(phase >= _LINEARISING):
-            planner = self._prepared(instant, planner, phase)
-        if any(plan is None for plan in planner.plans):
+        planners = []
+        for index, starts in enumerate(instant.starts):
+            planner = PlannerState()
+            if memory is not None and not starts:
+                planner = self._advanced(memory[index])
+            phase = planner.step % STEPS_PER_PLAN
+            if phase == 0:
+                planner = self._replanned(instant, index, planner)
+            elif phase >= _LINEARISING:
+                planner = self._prepared(instant, index, planner, phase)
+            planners.append(planner)
+        if any(planner.plan is None for planner in planners):
             planned, _ = super().reference(instant, memory)
         else:
             planned = {name: np.empty_like(instant.ahead["pose"]) for name in _PLANNED}
-        for index, plan in enumerate(planner.plans):
-            if plan is None:
+        for index, planner in enumerate(planners):
+            if planner.plan is None:
                 continue
-            motion = self.program.basis_at(round(float(planner.plan_age[index]), 9)) @ plan
+            motion = self.program.basis_at(round(planner.age, 9)) @ planner.plan
             for name, value in zip(_PLANNED, motion, strict=True):
                 planned[name][index] = value
-        return planned, planner
+        return planned, planners
 
-    def _advanced(self, before: PlannerState | None, starts: NDArray[np.bool_]) -> PlannerState:
-        """The last plans after one control period; none for environments that start an episode."""
-        count = len(starts)
-        if before is None:
-            return PlannerState(
-                steps=np.zeros(count, int),
-                plans=(None,) * count,
-                plan_age=np.zeros(count),
-                pending=(None,) * count,
-                out_of_range=np.zeros(count, np.bool_),
-            )
-        plan_age = np.where(starts, np.inf, before.plan_age + self.observer.period)
-        plans = list(before.plans)
-        for index in np.flatnonzero(~(plan_age <= HORIZON)):
-            plans[index] = None
-        pending = list(before.pending)
-        for index in np.flatnonzero(starts):
-            pending[index] = None
-        return PlannerState(
-            steps=np.where(starts, 0, before.steps + 1),
-            plans=tuple(plans),
-            plan_age=plan_age,
-            pending=tuple(pending),
-            out_of_range=before.out_of_range & ~starts,
-        )
+    def _advanced(self, planner: PlannerState) -> PlannerState:
+        """The last plan after one control period."""
+        age = planner.age + self.observer.period
+        plan = planner.plan
+        if age > HORIZON:
+            plan = None
+        return replace(planner, step=planner.step + 1, plan=plan, age=age)
 
-    def _replanned(
-        self, instant: Instant, planner: PlannerState, due: NDArray[Any]
-    ) -> PlannerState:
-        """The state with new plans for the given environments."""
-        plans = list(planner.plans)
-        pending = list(planner.pending)
-        plan_age = planner.plan_age.copy()
-        out_of_range = planner.out_of_range.copy()
-        for index in due:
-            program = pending[index]
-            pending[index] = None
-            was_out_of_range = out_of_range[index]
-            reason = self._obstacle(instant.blocks, index)
-            out_of_range[index] = bool(reason)
-            if reason:
-                plans[index] = None
-                if not was_out_of_range:
-                    self._count_fallback(reason)
-                continue
-            start = instant.ahead["pose"][index], instant.ahead["velocity"][index]
-            try:
-                if isinstance(program, Program):
-                    plans[index] = self.program.solved(program, *start)
-                elif plans[index] is None:
-                    plans[index] = self.program.plan(
-                        *start,
-                        self._target(instant, index, 0.0),
-                        robot=_expected(instant, index),
-                        iterations=_FIRST_ITERATIONS,
-                    )
-                else:
-                    continue  # nothing was prepared, and the last plan is still valid
-                plan_age[index] = 0.0
-            except PlanningError as error:
-                self._count_fallback(str(error))
-        return replace(
-            planner,
-            plans=tuple(plans),
-            plan_age=plan_age,
-            pending=tuple(pending),
-            out_of_range=out_of_range,
-        )
+    def _replanned(self, instant: Instant, index: int, planner: PlannerState) -> PlannerState:
+        """The state with a new plan."""
+        reason = self._obstacle(instant.blocks, index)
+        if reason:
+            if not planner.out_of_range:
+                self._count_fallback(reason)
+            return replace(planner, plan=None, pending=None, out_of_range=True)
+        part = planner.pending
+        planner = replace(planner, pending=None, out_of_range=False)
+        start = instant.ahead["pose"][index], instant.ahead["velocity"][index]
+        try:
+            if isinstance(part, Program):
+                plan = self.program.solved(part, *start)
+            elif planner.plan is None:
+                plan = self.program.plan(
+                    *start,
+                    self._target(instant, index, 0.0),
+                    robot=_expected(instant, index),
+                )
+            else:
+                return planner  # nothing was prepared, and the last plan is still valid
+        except PlanningError as error:
+            self._count_fallback(str(error))
+            return planner
+        return replace(planner, plan=plan, age=0.0)
 
     def _prepared(
-        self, instant: Instant, planner: PlannerState, phase: NDArray[Any]
+        self, instant: Instant, index: int, planner: PlannerState, phase: int
     ) -> PlannerState:
-        """The state with the next parts of the next plans, in the control steps before them."""
-        pending = list(planner.pending)
-        for index in np.flatnonzero(phase >= _LINEARISING).tolist():
-            plan, part = planner.plans[index], pending[index]
-            pending[index] = None
-            try:
-                if isinstance(part, Linearisation):
-                    target = self._target(instant, index, self.observer.period)
-                    pending[index] = self.program.assembled(part, target)
-                elif plan is not None and phase[index] == _LINEARISING:
-                    age = round(float(planner.plan_age[index]) + 2 * self.observer.period, 9)
-                    robot = _expected(instant, index)
-                    pending[index] = self.program.linearised(self.program.shift(age) @ plan, robot)
-            except PlanningError as error:
-                self._count_fallback(str(error))
-        return replace(planner, pending=tuple(pending))
+        """The state with the next part of the next plan, in a control step before it."""
+        part = planner.pending
+        pending: Linearisation | Program | None = None
+        try:
+            if isinstance(part, Linearisation):
+                target = self._target(instant, index, self.observer.period)
+                pending = self.program.assembled(part, target)
+            elif planner.plan is not None and phase == _LINEARISING:
+                age = round(planner.age + 2 * self.observer.period, 9)
+                plan = self.program.shift(age) @ planner.plan
+                pending = self.program.linearised(plan, _expected(instant, index))
+        except PlanningError as error:
+            self._count_fallback(str(error))
+        return replace(planner, pending=pending)
 
     def _target(self, instant: Instant, index: int, time: float) -> Target:
         """What a plan has to do that starts a time after the instant at which the action takes
         effect."""
-        task = self._task(index)
+        task = self._tasks[index]
         start = float(instant.time(task, index) + time)
         motion = task.trajectory(start + self.program.instants)
         return Target(
@@ -278,14 +237,9 @@ class NonlinearMPC(ObserverLaw):
             error_bounds=task.error_bounds,
         )
 
-    def _task(self, index: int) -> Task:
-        return self._tasks[index % len(self._tasks)]
-
     def _obstacle(self, blocks: dict[str, Array], index: int) -> str:
         """Why there can be no plan; empty if there can."""
-        if not self._tasks:
-            return "the task is unknown; call reset(tasks) before predict()"
-        bounds = self._task(index).error_bounds
+        bounds = self._tasks[index].error_bounds
         error = (blocks["pose"][index] - blocks["reference_pose"][index]) / _MAX_ERROR_RATIO
         d = self.robot.dimensions
         position = np.linalg.norm(error[:d])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -26,18 +26,6 @@ weight.
 """
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrackingGains:
-    """Gains of the law that tracks a plan."""
-
-    pose: tuple[float, float]
-    """(K_P, K_D) of the platform's pose error [1/s², 1/s]."""
-    motor_frequency: float = 100.0
-    """Angular frequency of the motor loop of a flexible robot [rad/s]."""
-    reserve: float = 1.0
-    """Tension of redundant cables above the minimum tension of the robot [N]."""
-
-
 class PlanLaw(ClassicalLaw):
     """Tracks one planned motion with a given mass.
 
@@ -45,16 +33,21 @@ class PlanLaw(ClassicalLaw):
         robot: nominal robot.
         plan: planned motion.
         period: control period [s].
-        gains: gains of the law.
+        gains: (K_P, K_D) of the platform's pose error [1/s², 1/s].
+        reserve: tension of redundant cables above the minimum tension of the robot [N].
     """
 
     def __init__(
-        self, robot: Robot, plan: PlannedMotion, period: float, gains: TrackingGains
+        self,
+        robot: Robot,
+        plan: PlannedMotion,
+        period: float,
+        *,
+        gains: tuple[float, float],
+        reserve: float = 1.0,
     ) -> None:
-        super().__init__(robot, minimum_tension=robot.minimum_tension + gains.reserve)
-        self._follower = Follower(
-            robot=robot, gains=gains.pose, motor_frequency=gains.motor_frequency
-        )
+        super().__init__(robot, minimum_tension=robot.minimum_tension + reserve)
+        self._follower = Follower(robot=robot, gains=gains)
         self._plan, self._period = plan, period
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
@@ -86,16 +79,11 @@ class AdaptivePlanLaw(Adaptive):
     cable forces.
 
     Args:
-        robot: nominal robot.
+        law: law that tracks the plan.
         plan: planned motion.
-        period: control period [s].
-        gains: gains of the tracking law.
     """
 
-    def __init__(
-        self, robot: Robot, plan: PlannedMotion, period: float, gains: TrackingGains
-    ) -> None:
-        law = PlanLaw(robot, plan, period, gains)
+    def __init__(self, law: PlanLaw, plan: PlannedMotion) -> None:
         super().__init__(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
         self._plan = plan
 
@@ -125,8 +113,8 @@ class AdaptivePlanLaw(Adaptive):
         starts = first_steps(before, episode_start, blocks["pose"].shape[:-1])[..., None]
         structure = textbook.jacobian(robot, blocks["pose"])
         tensions = memory.torques / robot.pulley_radius
-        wrench = np.swapaxes(structure, -1, -2) @ tensions[..., None]
-        vertical = wrench[..., robot.dimensions - 1, :]
+        wrench = textbook.times_vector(np.swapaxes(structure, -1, -2), tensions)
+        vertical = wrench[..., robot.dimensions - 1, None]
         weight = INITIAL_ESTIMATE_WEIGHT * robot.gravity
         impulse = np.where(starts, weight * vertical, memory.weighted_impulse)
         change = np.where(starts, weight * robot.gravity, memory.weighted_change)

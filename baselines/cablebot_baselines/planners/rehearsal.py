@@ -19,6 +19,12 @@ from cablebot_gym.planning import MarginProfile
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import Uncertainty
 
+ROBOTS = 19
+"""Number of random robots in a rehearsal."""
+
+SEED = 1_000_003
+"""Seed of the first robot."""
+
 ERROR_RESERVE = 0.02
 """Reserve of a rehearsal to the error bounds, as a fraction of them."""
 
@@ -103,21 +109,16 @@ def rehearse(
     task: Task,
     uncertainty: Uncertainty,
     payloads: Sequence[float],
-    *,
-    robots: int,
-    seed: int,
 ) -> Rehearsal:
-    """Episodes of a law with each payload and each of some random robots.
+    """Episodes of a law with each payload and each of :data:`ROBOTS` random robots.
 
     Args:
         law: the law.
         task: the task, whose payload is unknown to the law.
         uncertainty: uncertainty from which the robots are drawn.
-        payloads: nominal payloads [kg].
-        robots: number of robots, which are the same for each payload.
-        seed: seed of the first robot.
+        payloads: nominal payloads [kg]. The robots are the same for each.
     """
-    count = len(payloads) * robots
+    count = len(payloads) * ROBOTS
     env = CableBotVectorEnv(
         robot=task.robot,
         num_envs=count,
@@ -129,8 +130,8 @@ def rehearse(
         payload_known=task.payload_known,
         autoreset_mode=AutoresetMode.DISABLED,
     )
-    payload = np.repeat(np.asarray(payloads, float), robots)
-    seeds = [seed + episode % robots for episode in range(count)]
+    payload = np.repeat(np.asarray(payloads, float), ROBOTS)
+    seeds = [SEED + episode % ROBOTS for episode in range(count)]
     observation, _ = env.reset(seed=seeds, options={"payload": payload})
     law.reset(env.tasks)
     state: Any = None

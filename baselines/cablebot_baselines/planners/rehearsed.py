@@ -3,7 +3,6 @@ payload."""
 
 from __future__ import annotations
 
-import logging
 import math
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,7 @@ from scipy.interpolate import make_lsq_spline
 from cablebot_baselines.laws.observer_law import Instant, ObserverLaw
 from cablebot_baselines.laws.outer_loop import by_kind
 from cablebot_baselines.observer.expectation import Expectation
-from cablebot_baselines.planners.plan_law import PlanLaw, TrackingGains
+from cablebot_baselines.planners.plan_law import PlanLaw
 from cablebot_baselines.planners.rehearsal import (
     Rehearsal,
     grown_margins,
@@ -37,8 +36,6 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import Uncertainty
 
-_LOGGER = logging.getLogger("cablebot_gym")
-
 INTERVALS_PER_SECOND = {"rigid": 50.0, "flexible": 30.0}
 """Spline intervals of a plan per second [1/s], by joints of the robot. More of them hardly increase
 the DLCC and take longer to plan: minutes with joint springs."""
@@ -50,13 +47,9 @@ COARSE = 1.5
 """How many times fewer intervals the first plan of a flexible robot has. It takes the second one of
 two payloads as a start."""
 
-GAINS = {
-    "planar": TrackingGains(pose=(1600.0, 80.0)),
-    "spatial": TrackingGains(pose=(400.0, 40.0)),
-    "flexible": TrackingGains(pose=(400.0, 40.0)),
-}
-"""Gains by kind of a rigid robot, and of flexible ones. Higher ones amplify the noise of the
-sensors."""
+GAINS = {"planar": (1600.0, 80.0), "spatial": (400.0, 40.0)}
+"""(K_P, K_D) by kind of a rigid robot [1/s², 1/s]; flexible ones have those of ``spatial``. Higher ones
+amplify the noise of the sensors."""
 
 SENSOR_BIASES = 4.5
 """Margin to the error bounds of the first plan in standard deviations of the bias of the sensors."""
@@ -79,12 +72,6 @@ SPRING_RATE = 100.0
 
 LIGHTEST = 2.0
 """How many standard deviations the lightest platform of a plan is below the expected one."""
-
-ROBOTS = 19
-"""Number of random robots in a rehearsal."""
-
-SEED = 1_000_003
-"""Seed of the first robot."""
 
 FRACTIONS = (0.0, 0.5, 0.94, 0.97, 1.0, 1.02, 1.04)
 """Rehearsed payloads as fractions of that of the plan. Saturated actions violate no limit, so robots
@@ -138,8 +125,9 @@ def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> O
     period = 1 / task.control_frequency
     gains = by_kind(GAINS, robot)
     if robot.flexible:
-        gains = GAINS["flexible"]
-    law = _Tracking(PlanLaw(robot, plan, period, gains), expectation, largest_payload=plan.payload)
+        gains = GAINS["spatial"]
+    tracking = PlanLaw(robot, plan, period, gains=gains)
+    law = _Tracking(tracking, expectation, largest_payload=plan.payload)
     law.reset([task])
     return law
 
@@ -184,12 +172,10 @@ class PlanSearch:
         for _ in range(ROUNDS):
             try:
                 plan = program.resolve(*self._split(profile))
-            except Infeasible as error:
-                _LOGGER.debug("no plan with the margins of the rehearsal: %s", error)
+            except Infeasible:
                 break
             rehearsal = self._rehearsal(plan, FRACTIONS)
             carried = rehearsal.largest_carried()
-            _LOGGER.debug("plan for %.4g kg, carried %.4g kg", plan.payload, carried)
             if 0 <= carried <= most:
                 break
             if carried > most:
@@ -205,7 +191,7 @@ class PlanSearch:
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
         law = tracking_law(plan, self._expectation, self._task)
         payloads = [fraction * plan.payload for fraction in fractions]
-        return rehearse(law, self._task, self._uncertainty, payloads, robots=ROBOTS, seed=SEED)
+        return rehearse(law, self._task, self._uncertainty, payloads)
 
     def _first_plan(self) -> tuple[MotionProgram, PlannedMotion]:
         """The program, and its solution with the first margins."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -15,9 +16,9 @@ from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_baselines.laws.law import Array, ClassicalLaw
-from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_baselines.laws.observer_law import UNCERTAINTY, ObserverLaw
 from cablebot_baselines.observer.expectation import Expectation
-from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, TrackingGains
+from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, PlanLaw
 from cablebot_baselines.planners.rehearsed import (
     find_rehearsed_plan,
     intervals_of,
@@ -33,9 +34,6 @@ from cablebot_gym.uncertainty import find_uncertainty
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-UNCERTAINTY = "hardware"
-"""Uncertainty of the robots on which plans are rehearsed."""
-
 ERROR_MARGIN = 0.02
 """Margin of the plan for an exactly known robot to its error bounds, as a fraction of them."""
 
@@ -45,11 +43,11 @@ EXACT_MARGINS = {
 }
 """Further margins of the plan for an exactly known robot, by its joints."""
 
-EXACT_GAINS = {
-    "rigid": TrackingGains(pose=(2500.0, 100.0), reserve=1.0),
-    "flexible": TrackingGains(pose=(100.0, 10.0), reserve=3.0),
-}
-"""Gains of the law that tracks it, by joints of the robot."""
+EXACT_GAINS = {"rigid": (2500.0, 100.0), "flexible": (100.0, 10.0)}
+"""(K_P, K_D) of the law that tracks it [1/s², 1/s], by joints of the robot."""
+
+EXACT_RESERVE = {"rigid": 1.0, "flexible": 3.0}
+"""Tension of redundant cables above the minimum tension of the robot [N], by its joints."""
 
 
 def exact_margins(robot: Robot, error_bounds: ErrorBounds) -> Margins:
@@ -86,8 +84,8 @@ class TrajOpt:
 
     The first planning of a task takes seconds to minutes. The plan is then stored on disk.
 
-    Without a plan, or without a call of :meth:`reset`, the policy tracks the reference itself with
-    the adaptive law. :attr:`fallbacks` counts these episodes, and a warning gives the reason.
+    Without a plan, the policy tracks the reference itself with the adaptive law. :attr:`fallbacks`
+    counts these episodes, and a warning gives the reason.
 
     Args:
         robot: nominal robot.
@@ -106,8 +104,8 @@ class TrajOpt:
         self.fallbacks = 0
         """Number of episodes without a plan since the last :meth:`reset`."""
         # Environments with the same plan and their law.
-        self._groups: list[tuple[NDArray[np.intp], ClassicalLaw]] | None = None
-        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | str]] = {}
+        self._groups: list[tuple[NDArray[np.intp], ClassicalLaw]] = []
+        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | None]] = {}
         self._reference_law = make_adaptive(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -117,54 +115,53 @@ class TrajOpt:
             ValueError: if a task's robot differs from the policy's robot in kind or anchors.
         """
         self._reference_law.reset(tasks)
-        self.fallbacks = 0
         groups: dict[int, tuple[ClassicalLaw, list[int]]] = {}
-        reasons: Counter[str] = Counter()
+        without_plan: Counter[str] = Counter()
         for env_index, task in enumerate(tasks):
             law = self._law(task)
-            if isinstance(law, str):
-                reasons[law] += 1
+            if law is None:
+                without_plan[task.trajectory.name] += 1
                 law = self._reference_law
             _, indices = groups.setdefault(id(law), (law, []))
             indices.append(env_index)
-        for reason, episodes in reasons.items():
-            self._fall_back(episodes, reason)
+        for name, episodes in without_plan.items():
+            _LOGGER.warning(
+                "trajopt tracks trajectory %r without a plan in %d episodes: no motion within the "
+                "error bounds is feasible with a payload",
+                name,
+                episodes,
+            )
+        self.fallbacks = without_plan.total()
         self._groups = [(np.array(indices), law) for law, indices in groups.values()]
 
-    def _law(self, task: Task) -> ClassicalLaw | str:
-        """The law of a task's episode with the rehearsed plan or the exact one, or why there is no
+    def _law(self, task: Task) -> ClassicalLaw | None:
+        """The law of a task's episode with the rehearsed plan or the exact one; None if there is no
         plan."""
-        rehearsed = self._stored("rehearsed", task)
+        rehearsed = self._stored(self._rehearsed_law, task)
         if isinstance(rehearsed, ObserverLaw):
             assert rehearsed.largest_payload is not None
             is_light = task.model_payload <= rehearsed.largest_payload
             if is_light or not task.payload_known:
                 return rehearsed
-        return self._stored("exact", task)
+        return self._stored(self._exact_law, task)
 
-    def _stored(self, kind: str, task: Task) -> ClassicalLaw | str:
-        """The law of a kind of plan, or the reason why there is no plan. It is made once."""
+    def _stored(
+        self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
+    ) -> ClassicalLaw | None:
+        """The law that a function makes for a plan; None if there is no plan. It is made once."""
         motion: Any = task.trajectory
         if not isinstance(motion, Hashable):
             motion = id(motion)  # a trajectory that is not hashable is equal only to itself
-        key = (kind, motion, task.error_bounds, task.control_frequency, task.cable)
+        key = (make.__name__, motion, task.error_bounds, task.control_frequency, task.cable)
         if key not in self._laws:
-            make = self._rehearsed_law if kind == "rehearsed" else self._exact_law
+            law = None
+            with suppress(Infeasible):
+                plan, tracking = make(task)
+                if plan.payload > 0:
+                    law = tracking
             # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
-            self._laws[key] = task.trajectory, self._made(make, task)
+            self._laws[key] = task.trajectory, law
         return self._laws[key][1]
-
-    def _made(
-        self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
-    ) -> ClassicalLaw | str:
-        try:
-            plan, law = make(task)
-        except Infeasible as error:
-            _LOGGER.debug("no plan for %r: %s", task.trajectory.name, error)
-            return f"trajectory {task.trajectory.name!r} has no feasible motion within the error bounds"
-        if plan.payload <= 0:
-            return f"trajectory {task.trajectory.name!r} allows no payload"
-        return law
 
     def _rehearsed_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
         """The plan for robots that are not exactly known, and its law."""
@@ -183,14 +180,15 @@ class TrajOpt:
             lightest=0.0,
             period=1 / task.control_frequency,
         )
-        gains = EXACT_GAINS[self.robot.joints]
-        return plan, AdaptivePlanLaw(self.robot, plan, 1 / task.control_frequency, gains)
-
-    def _fall_back(self, episodes: int, reason: str) -> None:
-        self.fallbacks += episodes
-        _LOGGER.warning(
-            "trajopt tracks the reference without a plan in %d episodes: %s", episodes, reason
+        joints = self.robot.joints
+        tracking = PlanLaw(
+            self.robot,
+            plan,
+            1 / task.control_frequency,
+            gains=EXACT_GAINS[joints],
+            reserve=EXACT_RESERVE[joints],
         )
+        return plan, AdaptivePlanLaw(tracking, plan)
 
     def predict(
         self,
@@ -202,19 +200,16 @@ class TrajOpt:
         """Actions (m,) or (N, m), and the state to pass next time.
 
         Raises:
+            RuntimeError: before the first :meth:`reset`.
             ValueError: if the observation does not have this robot's layout.
         """
-        observation = np.asarray(observation, float)
-        count = len(np.atleast_2d(observation))
         groups = self._groups
-        if groups is None or (len(groups) > 1 and sum(len(rows) for rows, _ in groups) != count):
-            if state is None:
-                self._fall_back(
-                    count, "the tasks of the batch are unknown; call reset(tasks) before predict()"
-                )
-            return self._reference_law.predict(observation, state, episode_start, deterministic)
+        if not groups:
+            raise RuntimeError("call reset(tasks) before predict(): the tasks have the motions")
         if len(groups) == 1:
             return groups[0][1].predict(observation, state, episode_start, deterministic)
+        observation = np.asarray(observation, float)
+        count = len(observation)
         actions = np.empty((count, self.robot.cables))
         states = []
         starts = first_steps(state, episode_start, (count,))
