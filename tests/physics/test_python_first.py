@@ -116,7 +116,6 @@ def test_python_and_compiled_tensions_have_the_same_bits(monkeypatch):
     entries = (
         tension_problems.solve_least_norm,
         tension_problems.solve_least_largest,
-        tension_problems.solve_feasible,
         tension_problems.solve_interval,
         central_tensions.solve_central,
     )
@@ -124,7 +123,6 @@ def test_python_and_compiled_tensions_have_the_same_bits(monkeypatch):
     structure, load = problems()
     distribution.least_norm(structure, load, 1.0, 20.0)
     distribution.unchecked_least_largest_action(structure, load, 1.0, 0.5, 0.1, 20.0)
-    distribution.feasible(structure, load, 1.0, 20.0)
     distribution.largest_scale(structure, load, load[::-1], 1.0, 20.0, 10.0)
     distribution.unchecked_central(structure, load, 1.0, 0.05, 0.1)
     assert len(names) == len(entries)
