@@ -92,8 +92,6 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor
             keywords: reset options apply to one episode only.
         render_mode: None or ``rgb_array``.
-        threads: number of threads that share a step, in tiles of 32 environments. It does not
-            change the results, and pays from about a thousand environments on.
         keywords: further keywords of the single environment.
 
     An environment is truncated by the step that completes its motion. With autoreset disabled it
@@ -120,7 +118,6 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        threads: int = 1,
         **keywords: Any,
     ) -> None:
         check_keywords(keywords, KEYWORDS, type(self))
@@ -135,9 +132,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.autoreset_mode = autoreset_mode
         """Autoreset mode, an attribute of Gymnasium's own vector environments too."""
-        self._simulation = Simulation(
-            robot, (self.num_envs,), keywords, threads=whole("threads", threads, least=1)
-        )
+        self._simulation = Simulation(robot, (self.num_envs,), keywords)
         self.settings = self._simulation.settings
         """Checked constructor keywords."""
         self.layout = self._simulation.layout
