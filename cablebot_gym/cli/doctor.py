@@ -16,7 +16,7 @@ import typer
 
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics.compiling import compiled_at_once
-from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged, is_temporary
+from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged
 from cablebot_gym.physics.textbook import (
     holding_torque,
     normalised_action,
@@ -120,7 +120,7 @@ def _compiled_code() -> Iterator[Finding]:
     folders = code_folders()
     files = [path for folder in folders for path in sorted(folder.glob("*.nbc"))]
     count = f"{len(files)} compiled files" if files else "no compiled files yet"
-    is_usable = is_writable_dir(folders[-1]) and not is_temporary(folders[-1])
+    is_usable = is_writable_dir(folders[-1])
     text = f"{', '.join(map(str, folders))}: {count}"
     if not is_usable:
         text += f". No cache folder is writable, so new code is not kept: {REMEDY}"

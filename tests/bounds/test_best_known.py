@@ -242,11 +242,11 @@ def test_slow_control_is_rejected(cache):
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
         (
             {"error_bounds": {"position": 1e-6}},
-            "no motion along 'circle-planar' .*limiting: the error bounds",
+            "no motion along 'circle-planar' .* Choose a slower motion, wider error bounds",
         ),
     ],
 )
-def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
+def test_infeasible_problem_names_the_remedy(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
