@@ -99,7 +99,7 @@ class Robot:
     """
     swivel_axes: tuple[tuple[float, ...], ...] = ()
     """Direction in which each cable runs along its swivel axis to the pulley, one (x, y, z) per
-    cable; empty for vertical axes. Statics and modes know all axes, the simulation vertical ones."""
+    cable; empty for vertical axes. The textbook knows all axes, the simulation vertical ones."""
     cable_density: PerMotor = 0.0
     """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag
     uses it."""
@@ -190,7 +190,7 @@ class Robot:
 
     @property
     def hanging(self) -> bool:
-        """Whether the cables are fewer than the coordinates: the platform swings. Statics and modes
+        """Whether the cables are fewer than the coordinates: the platform swings. The textbook
         know such a robot, the simulation does not."""
         return self.cables < self.coordinates
 
