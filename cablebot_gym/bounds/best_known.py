@@ -452,7 +452,7 @@ class _Problem:
                     motion = self._first_motion(program, start, margins)
                 else:
                     motion = program.resolve(margins, profile)
-            except (Infeasible, ValueError):  # larger margins are infeasible as well
+            except Infeasible:  # larger margins are infeasible as well
                 return None
             tracked = self._track(motion, profile)
             replays: list[BestKnownReplay] = []

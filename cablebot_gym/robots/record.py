@@ -191,7 +191,7 @@ class Robot:
     @property
     def hanging(self) -> bool:
         """Whether the cables are fewer than the coordinates: the platform swings. The textbook
-        know such a robot, the simulation does not."""
+        knows such a robot, the simulation does not."""
         return self.cables < self.coordinates
 
     @cached_property

@@ -228,14 +228,15 @@ def double(values):
 
 
 @pytest.fixture
-def doubling(monkeypatch, tmp_path, empty_cache):
+def doubling(monkeypatch, empty_cache):
     """A new entry point, which estimates one second for each value, and an empty cache."""
     monkeypatch.setattr(python_first, "LONGEST_CALL", 1.5)
-    return lambda: EntryPoint(double, len, robot=str(tmp_path))
+    return lambda: EntryPoint(double, len)
 
 
 def test_code_is_compiled_when_the_estimate_is_spent(doubling, caplog):
     """A message says so; from then on, nothing stands between the caller and compiled code."""
+    code_cache._say_once.cache_clear()
     entry = doubling()
     values = np.ones(1)
     entry(values)

@@ -13,7 +13,7 @@ import logging
 import os
 import pickle
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -45,16 +45,10 @@ _LOGGER = logging.getLogger(PACKAGE)
 
 
 class CodeCache(_Cache):
-    """Compiled code of a function, in the interface by which numba's dispatchers use a cache.
+    """Compiled code of a function, in the interface by which numba's dispatchers use a cache."""
 
-    Args:
-        function: Python function.
-        announce: called before a signature is compiled.
-    """
-
-    def __init__(self, function: Any, announce: Callable[[], None]) -> None:
+    def __init__(self, function: Any) -> None:
         self._function = function
-        self._announce = announce
 
     @property
     def cache_path(self) -> str:
@@ -74,7 +68,9 @@ class CodeCache(_Cache):
             compiled = read_cached(folder / name, rebuild)
             if compiled is not None:
                 return compiled
-        self._announce()
+        _say_once(
+            "compiling for this machine, once for each kind of robot: usually a few seconds each …"
+        )
         return None
 
     def is_stored(self, sig: Any, target_context: Any) -> bool:
@@ -133,15 +129,6 @@ def _folders(named: str, user_cache: Path) -> tuple[Path, ...]:
         if is_writable_dir(folder):
             return tuple(candidates[:number])
     return tuple(candidates)
-
-
-def is_damaged(path: Path) -> bool:
-    """Whether a file of compiled code is not as it was written."""
-    try:
-        _checked(path.read_bytes())
-    except ValueError:
-        return True
-    return False
 
 
 def _checked(data: bytes) -> bytes:

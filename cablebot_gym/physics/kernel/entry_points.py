@@ -54,7 +54,7 @@ def compiled(form: Form, lanes: int) -> Compiled:
     each number of cables, whose loops are unrolled. Numba compiles for the form because the
     functions close over it."""
 
-    compile_form = partial(entry_point, robot=form.robot_text, flat=True)
+    compile_form = partial(entry_point, flat=True)
     # the layout of a record depends on the lanes, unlike that of motions
     compile_motion = partial(compile_form, in_python={"lanes": 1})
     # estimated time of Python for one stage of the integration of one robot [s]

@@ -175,21 +175,6 @@ class Form(NamedTuple):
         """Whether there are pulleys between joint springs and elastic cables."""
         return self.jointed and self.elastic
 
-    @property
-    def robot_text(self) -> str:
-        """The kind of robot in words, without the number of lanes."""
-        point = self.coordinates == self.dimensions
-        body = "point mass" if point else "platform"
-        space = "in space" if self.dimensions == 3 else "in a plane"
-        text = f"{body} {space} on {self.cables} cables"
-        if self.double:
-            return f"{text} with joint springs and elastic cables"
-        if self.jointed:
-            return f"{text} with joint springs"
-        if self.elastic:
-            return f"{text} with elastic cables"
-        return text
-
 
 def body_parameter(cables: int) -> int:
     """Row of the first parameter that only lopsided robots have."""
