@@ -334,24 +334,6 @@ class Plant:
         """Motor speeds β̇′ of flexible robots, shape (N, m) [rad/s]."""
         return self.per_cable(rows.MOTOR_SPEED)
 
-    @property
-    def pulley_angle(self) -> Array:
-        """Pulley angles β of robots with elastic cables, shape (N, m) [rad]."""
-        if self.robot.jointed:
-            return self._pulley(0)
-        return self.motor_angle
-
-    @property
-    def pulley_speed(self) -> Array:
-        """Pulley speeds β̇ of robots with elastic cables, shape (N, m) [rad/s]."""
-        if self.robot.jointed:
-            return self._pulley(1)
-        return self.motor_speed
-
-    def _pulley(self, row: int) -> Array:
-        start = rows.pulley_record(self.robot.cables) + row
-        return self._read(self.record, start, self.robot.cables, rows.PULLEY_RECORDS)
-
     def per_cable(self, row: int) -> Array:
         """A row of the record per cable, such as ``rows.TENSION``, shape (N, m)."""
         start = rows.FIRST_CABLE_RECORD + row

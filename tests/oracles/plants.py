@@ -234,7 +234,14 @@ def state_of(plant):
         return State(*state, *np.zeros((2, plant.count, plant.robot.cables)))
     state += plant.motor_angle, plant.motor_speed
     if plant.robot.elastic:
-        return ElasticState(*state, plant.pulley_angle, plant.pulley_speed)
+        if not plant.robot.jointed:
+            return ElasticState(*state, *state[2:])
+        first = rows.pulley_record(plant.robot.cables)
+        pulleys = [
+            plant._read(plant.record, first + half, plant.robot.cables, rows.PULLEY_RECORDS)
+            for half in range(2)
+        ]
+        return ElasticState(*state, *pulleys)
     return State(*state)
 
 

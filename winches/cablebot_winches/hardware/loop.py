@@ -379,4 +379,4 @@ def estimated_pose(robot: Robot, angle: Array, load: Array, guess: Array) -> Arr
     lengths = textbook.cable_lengths(robot, robot.home) - robot.pulley_radius * angle
     # Lengths of redundant cables never fit exactly, and then the last digits may not converge. A pose
     # that is wrong violates a limit.
-    return forward_kinematics(robot, lengths, guess).pose
+    return forward_kinematics(robot, lengths, guess)
