@@ -132,9 +132,6 @@ class BestKnownPayload(Result):
     """Payload of the nonlinear program without margins, on the finest mesh [kg]."""
     meshes: tuple[tuple[int, float], ...]
     """Pairs of number of intervals and payload [kg] for every mesh."""
-    margins: dict[str, float]
-    """Largest margin of the replayed motion to each limit. It holds only near the times at which
-    the limit needs it."""
     environment: dict[str, Any]
     """Robot, trajectory and control frequency, as JSON-able data."""
     versions: dict[str, str]
@@ -331,7 +328,7 @@ class _Problem:
         if found is None:
             actions = self._track(best, self.tightening.no_profile()).actions
             replays = tuple(replay for replay, _ in self._replays(actions, best.payload))
-            found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
+            found = _Verified(motion=best, actions=actions, replays=replays)
         robot = self.robot
         motion = found.motion
         return BestKnownPayload(
@@ -343,7 +340,6 @@ class _Problem:
             error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.point_mass else {}),
             program_payload=best.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
-            margins=to_jsonable(found.margins),
             environment={
                 "robot": robot.to_dict(),
                 "trajectory": to_jsonable(self.trajectory),
@@ -466,7 +462,6 @@ class _Problem:
                 return _Verified(
                     motion=motion,
                     actions=tracked.actions,
-                    margins=profile.highest(margins),
                     replays=tuple(replays),
                 )
         return None
@@ -550,7 +545,6 @@ class _Verified:
 
     motion: PlannedMotion
     actions: Array
-    margins: Margins
     replays: tuple[BestKnownReplay, ...]
 
 
