@@ -355,8 +355,6 @@ class Simulation:
             self._plant.set_state(env_indices, pose, velocity)
             if nominal.flexible:
                 self._plant.set_motors(env_indices, motors.motor_angle, motors.speed)
-            if nominal.jointed and nominal.elastic:
-                self._plant.set_pulleys(env_indices, motors.pulley_angle, motors.speed)
             self._plant.set_torques(env_indices, motors.torque)
             action = normalised_action(true_robots, motors.torque, motors.speed)
             self._disturbances.reset(env_indices, uncertainty, np.clip(action, -1.0, 1.0))

@@ -66,14 +66,11 @@ def export_mjcf(
     """The robot as MJCF with actions as controls.
 
     Args:
-        robot: any robot without both joint springs and elastic cables.
+        robot: any robot.
         payload: payload at the centre of mass [kg], which does not change the inertia.
         timestep: duration of one RK4 step [s].
         holding_torques: torques r T that hold robot and payload at home, shape (m,) [N·m], for the
             keyframe ``home``; None for no keyframe.
-
-    Raises:
-        ValueError: if the robot has joint springs and elastic cables.
     """
     simplified = _without_friction(_with_points(robot))
     root = mjcf_tree(simplified, payload=payload, timestep=timestep)
@@ -102,13 +99,8 @@ def mjcf_tree(
 ) -> Element:
     """The elements of MJCF of a robot, without its swivel pulleys and dry friction.
 
-    Arguments and errors are as in :func:`export_mjcf`.
+    The arguments are as in :func:`export_mjcf`.
     """
-    if robot.jointed and robot.elastic:
-        raise ValueError(
-            f"{robot.name} has joint springs and elastic cables, and MJCF holds only one of them: remove stiffness "
-            "and motor_inertia, or axial_stiffness"
-        )
     diagonal = _diagonal(robot)
     center = _padded(robot.home[: robot.dimensions])
     root = Element("mujoco", model=robot.name)

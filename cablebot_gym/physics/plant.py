@@ -245,25 +245,9 @@ class Plant:
 
     def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
         """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after
-        :meth:`set_state`.
-
-        With elastic cables and without joint springs they are those of the pulleys.
-        """
+        :meth:`set_state`."""
         self._write_cables(rows.MOTOR_ANGLE, index, angle)
         self._write_cables(rows.MOTOR_SPEED, index, speed)
-
-    def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
-        """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and
-        elastic cables."""
-        start = rows.pulley_record(self.robot.cables)
-        for row, values in enumerate((angle, speed)):
-            self._write(
-                self.record,
-                start + row,
-                np.asarray(index),
-                np.asarray(values, float),
-                rows.PULLEY_RECORDS,
-            )
 
     def set_torques(self, index: Array, torques: Array) -> None:
         """Sets the recorded motor torques (len(index), m) [N·m] after :meth:`set_state`.

@@ -159,7 +159,7 @@ class Follower:
         """
         assert state.motor_angle is not None
         assert state.motor_speed is not None
-        model = textbook.cable_equivalent(self.robot)
+        model = self.robot
         inertia = model.pulley_inertia  # without joint springs the pulley turns with the motor
         if model.jointed:
             inertia = model.motor_inertia

@@ -23,7 +23,6 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import HEAVIEST, hold_payload
-from cablebot_gym.physics.textbook import cable_equivalent
 from cablebot_gym.planning.assembly import Assembled
 from cablebot_gym.planning.blocks import (
     ConstraintBlock,
@@ -113,7 +112,7 @@ class MotionProgram:
         self._ca = import_casadi()
         self._period = period
         check_model(robot)
-        self._robot = cable_equivalent(robot)
+        self._robot = robot
         self._trajectory = trajectory
         self._error_bounds = error_bounds
         self._lightest = lightest

@@ -326,14 +326,10 @@ class Robot:
 
     @property
     def springs(self) -> str:
-        """What is elastic, as text: ``rigid``, ``joint springs``, ``elastic cables``, or the last
-        two."""
-        springs = []
+        """What is elastic, as text."""
         if self.jointed:
-            springs.append("joint springs")
-        if self.elastic:
-            springs.append("elastic cables")
-        return " and ".join(springs) or "rigid"
+            return "joint springs"
+        return "elastic cables" if self.elastic else "rigid"
 
     @property
     def joints(self) -> Literal["rigid", "flexible"]:
