@@ -183,8 +183,8 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
         (PLANAR, {"transmission": DRUM | {"stiffness": 3.0}}, "needs stiffness and motor_inertia"),
         (PLANAR, {"transmission": DRUM | {"motor_damping": 0.01}}, "has no motor_damping"),
         (
-            FLEX_PLANAR,
-            {"transmission": FLEX_PLANAR.to_dict()["transmission"] | {"axial_stiffness": 2e4}},
+            FLEX_SPATIAL,
+            {"transmission": FLEX_SPATIAL.to_dict()["transmission"] | {"axial_stiffness": 2e4}},
             "exclude each other: remove stiffness and motor_inertia",
         ),
         (SPATIAL, {"ranges": [("mass", (1.0, 2.0))]}, r"must be a table of \[low, high\]"),
