@@ -18,6 +18,7 @@ from oracles.platforms import CAMERA, CRANE, PLATFORMS
 
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import (
+    FLEX_SPATIAL,
     PLANAR,
     ROBOTS,
     RPM,

@@ -138,8 +138,8 @@ class RobotCheck(Printed):
         }
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
-class MotionCheck(Printed):
+@dataclass(frozen=True, kw_only=True)
+class MotionCheck:
     """Result of :func:`check_motion`."""
 
     trajectory: Trajectory
@@ -160,10 +160,6 @@ class MotionCheck(Printed):
     """Sag of each cable; empty if the cables have no mass or the motion cannot be held."""
     questions: tuple[str, ...]
     """Pairs of cables that come close, each with a remedy."""
-
-    def __str__(self) -> str:
-        low, high = self.limit.least, self.limit.largest
-        return f"{self.trajectory.name}: followed exactly with {low:.4g} to {high:.4g} kg"
 
     @property
     def held(self) -> bool:
