@@ -138,8 +138,8 @@ class RobotCheck(Printed):
         }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MotionCheck:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MotionCheck(Printed):
     """Result of :func:`check_motion`."""
 
     trajectory: Trajectory
@@ -160,6 +160,10 @@ class MotionCheck:
     """Sag of each cable; empty if the cables have no mass or the motion cannot be held."""
     questions: tuple[str, ...]
     """Pairs of cables that come close, each with a remedy."""
+
+    def __str__(self) -> str:
+        low, high = self.limit.least, self.limit.largest
+        return f"{self.trajectory.name}: followed exactly with {low:.4g} to {high:.4g} kg"
 
     @property
     def held(self) -> bool:
