@@ -26,9 +26,10 @@ from cablebot_gym.physics.statics import (
     payload_interval,
     required_load,
     resting,
+    status_with_payload,
     tension_bounds,
 )
-from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, largest_scale, least_norm
+from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
@@ -286,13 +287,10 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
         if least < _ROUNDING * robot.mass:
             least = 0.0
         index = int(np.argmax(payloads.least) if payload < least else np.argmin(payloads.largest))
-    lower, upper = tension_bounds(robot, reference, robot.minimum_tension)
+    _, upper = tension_bounds(robot, reference, robot.minimum_tension)
     coefficients = payloads.coefficients[index]
     if payload < least:  # what excludes this payload, not a larger one
-        structure = textbook.jacobian(robot, reference.position)
-        load = required_load(robot, reference, payload)
-        none = largest_scale(structure, load, np.zeros_like(load), lower, upper, 0.0)
-        coefficients = none.coefficients[index]
+        coefficients = status_with_payload(robot, reference, payload).coefficients[index]
     reason = "the cables are singular"
     if payloads.status[index] != SINGULAR:
         reason = limiting_cables(robot, coefficients, upper[index])

@@ -117,13 +117,20 @@ def payload_interval(robot: Robot, reference: Reference) -> tuple[float, float]:
     return float(payloads.least.max()), float(payloads.largest.min())
 
 
+def status_with_payload(robot: Robot, reference: Reference, payload: float) -> ScaleInterval:
+    """Status at each instant of a reference with a payload [kg], and the cables that exclude it."""
+    load = required_load(robot, reference, payload)
+    structure = textbook.jacobian(robot, reference.position)
+    least, largest = tension_bounds(robot, reference, robot.minimum_tension)
+    return largest_scale(structure, load, np.zeros_like(load), least, largest, 0.0)
+
+
 def holds(robot: Robot, poses: Array, payload: float) -> Array:
     """Whether cables and motors hold a payload [kg] at rest at poses (K, n), shape (K,)."""
     with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
         known = _has_directions(robot, poses)
     held = np.zeros(len(poses), bool)
-    payloads = feasible_payloads(robot, resting(poses[known]))
-    held[known] = (payloads.least <= payload) & (payload <= payloads.largest)  # no NaN is
+    held[known] = status_with_payload(robot, resting(poses[known]), payload).status == HELD
     return held
 
 
