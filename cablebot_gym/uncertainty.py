@@ -12,7 +12,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,8 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
 from cablebot_gym.robots import Robot
 from cablebot_gym.robots.parts import as_tuples
-from cablebot_gym.utils.checks import all_finite, choice, mapping, number, numbers, record, whole
+from cablebot_gym.utils.checks import choice, mapping, number, numbers, record, whole
 from cablebot_gym.utils.files import JSON_FORM, check_not_a_file
-
-Distribution = Literal["uniform", "normal"]
 
 LONGEST_DELAY = 1000
 """Largest actuation delay [control steps]."""
@@ -32,12 +30,11 @@ LONGEST_DELAY = 1000
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterDistribution:
-    """Distribution of the deviation of a parameter from its nominal value. It is drawn once per
-    episode.
+    """Uniform distribution of the deviation of a parameter from its nominal value. It is drawn once
+    per episode.
 
     Raises:
-        ValueError: if ``low`` > ``high``, a number is not finite, or ``std`` does not match
-            ``distribution``.
+        ValueError: if ``low`` > ``high``, or a number is not finite.
     """
 
     low: float
@@ -45,12 +42,6 @@ class ParameterDistribution:
     ``relative``."""
     high: float
     """Largest deviation, in the same unit as ``low``."""
-    distribution: Distribution = "uniform"
-    """Shape of the distribution between the bounds. ``normal`` is truncated at the bounds."""
-    mean: float = 0.0
-    """Mean of the normal distribution before truncation; has no effect if uniform."""
-    std: float | None = None
-    """Standard deviation of the normal distribution before truncation; > 0. None if uniform."""
     relative: bool = True
     """Whether the deviation is a fraction of the nominal value. A nominal value of zero then stays
     zero."""
@@ -59,7 +50,7 @@ class ParameterDistribution:
     deviation."""
 
     def __post_init__(self) -> None:
-        for name in ("low", "high", "mean"):
+        for name in ("low", "high"):
             object.__setattr__(self, name, number(name, getattr(self, name)))
         for name in ("relative", "each"):
             if not isinstance(getattr(self, name), (bool, np.bool_)):
@@ -68,45 +59,14 @@ class ParameterDistribution:
             raise ValueError(
                 f"low must not exceed high, but they are {self.low:g} and {self.high:g}; exchange them"
             )
-        choice("distribution", self.distribution, get_args(Distribution))
-        if (self.distribution == "normal") != (self.std is not None):
-            raise ValueError("a normal distribution needs std and a uniform one has none")
-        if self.std is not None:
-            object.__setattr__(self, "std", number("std", self.std, above=0))
-            # Farther out, the cumulative distribution function has no digits left.
-            reach = 8 * self.std
-            if not self.low < self.mean + reach or not self.high > self.mean - reach:
-                raise ValueError(
-                    "low and high must lie within eight std of the mean; change them, mean or std"
-                )
 
     def deviation(self, uniform: Array) -> Array:
-        """Deviations from numbers that are uniform in [0, 1), by the inverse cumulative
-        distribution function.
-
-        Raises:
-            ValueError: if a number is not finite.
-        """
-        all_finite("uniform", uniform)
-        if self.std is None:
-            return self.low + (self.high - self.low) * uniform
-        from scipy.special import ndtr, ndtri  # slow to import
-
-        bounds = (np.array([self.low, self.high]) - self.mean) / self.std
-        # The upper tail is mirrored: ndtr loses digits near 1.
-        side = 1.0
-        if bounds[0] > 0:
-            side = -1.0
-        start, end = ndtr(side * bounds)
-        quantile = ndtri(start + (end - start) * uniform)
-        drawn = self.mean + self.std * side * quantile
-        return np.asarray(np.clip(drawn, self.low, self.high))
+        """Deviations from numbers that are uniform in [0, 1)."""
+        return self.low + (self.high - self.low) * uniform
 
     def applied(self, nominal: Array, deviation: Array) -> Array:
         """The true value for a nominal value and a deviation in the unit of ``low`` and
         ``high``."""
-        all_finite("nominal", nominal)
-        all_finite("deviation", deviation)
         if self.relative:
             return nominal * (1 + deviation)
         return nominal + deviation
@@ -433,12 +393,7 @@ class Uncertainty:
             payload: nominal payloads, shape (N,) [kg].
             uniform: numbers in [0, 1), shape (N, :func:`draw_size`). Each parameter has its own
                 columns, whether it is uncertain or not.
-
-        Raises:
-            ValueError: if a number is not finite.
         """
-        all_finite("payload", payload)
-        all_finite("uniform", uniform)
         deviations = {}
         for name, (start, shape) in _columns(robot).items():
             if name in self.parameters:

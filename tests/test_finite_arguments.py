@@ -16,15 +16,12 @@ from cablebot_gym.physics.forward import forward_kinematics
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.physics.tensions import distribution
 from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL, find_robot
-from cablebot_gym.uncertainty import ParameterDistribution, Uncertainty, draw_size
 
 POSE = np.array([0.01, -0.02, 0.12, 0.05, -0.04, 0.03])
 RATE = np.array([0.1, 0.2, -0.1, 0.3, -0.2, 0.1])
 LOAD = np.array([0.0, 0, -117.7, 0, 0, 0])
 HEAVY = find_robot("flex-cogiro")
 LINE = find_trajectory("line-spatial", "spatial")
-UNIFORM = ParameterDistribution(low=-0.1, high=0.1)
-DRAWN = Uncertainty(parameters={"platform_mass": UNIFORM})
 
 ARGUMENTS = {
     "pose": POSE,
@@ -44,16 +41,11 @@ ARGUMENTS = {
     "lower": np.full(6, 1.0),
     "upper": np.full(6, 900.0),
     "reference": np.ones(6),
-    "weights": np.ones(6),
     "slope": np.ones(6),
     "offset": np.zeros(6),
     "smoothing": 0.01,
     "unit_load": LOAD / 12,
     "largest": np.array(90.0),
-    "across": np.array(3.0),
-    "rise": np.array(1.0),
-    "tension": np.array(90.0),
-    "weight": np.array(0.6),
     "times": np.array([0.1, 0.2]),
 }
 """Valid values by the name of an argument."""
@@ -74,9 +66,7 @@ PLAIN = (
     kinematics.structure_jacobian,
     kinematics.jacobian_and_rate,
     distribution.least_norm,
-    distribution.feasible,
     distribution.largest_scale,
-    sag.catenary,
 )
 OTHER = {
     "inverse_dynamics of the kernel": (partial(inverse_dynamics, SPATIAL), {"minimum": 1.0}),
@@ -86,10 +76,6 @@ OTHER = {
         {"lengths": textbook.cable_lengths(SPATIAL, POSE), "guess": POSE},
     ),
     "sag": (partial(sag.sag, HEAVY), {"pose": HEAVY.home, "tensions": np.full(8, 900.0)}),
-    "settle": (
-        partial(sag.settle, HEAVY),
-        {"mass": 91.0, "pose": HEAVY.home, "tensions": np.full(8, 900.0)},
-    ),
     "exact_payload": (
         partial(exact_payload, SPATIAL, LINE),
         {"minimum_tension": 1.0, "frequency": 100.0, "line_speed": np.ones(6), "grid": 100.0},
@@ -99,11 +85,6 @@ OTHER = {
         {"minimum": 1.0, "line_speed": np.ones(6)},
     ),
     "trajectory": (LINE.__call__, {}),
-    "deviation": (UNIFORM.deviation, {"uniform": np.array([0.2])}),
-    "draw": (
-        partial(DRAWN.draw, SPATIAL),
-        {"payload": np.zeros(2), "uniform": np.full((2, draw_size(SPATIAL)), 0.5)},
-    ),
 }
 FUNCTIONS = {
     **{function.__name__: (function, {}) for function in PLAIN},

@@ -14,7 +14,6 @@ from cablebot_gym.motions import (
     ORDERS,
     TRAJECTORIES,
     BetweenDwells,
-    Chain,
     Dwell,
     Lemniscate,
     PaperCircle,
@@ -145,20 +144,6 @@ def test_motion_with_dwells_takes_no_others():
         BetweenDwells(motion=find_trajectory("loop-planar", 2))
 
 
-# --- chains -------------------------------------------------------------------------------------------------------
-
-
-def test_number_in_a_chain_is_a_dwell_where_the_robot_is():
-    line = PointToPoint(start=(0.0, 0.0), end=(0.2, 0.1), duration=0.5)
-    back = PointToPoint(start=line.end, end=line.start, duration=1.0)
-    chain = Chain(motions=(line, 0.25, back))
-    assert chain.duration == 1.75
-    dwell = Dwell(pose=line.end)
-    assert_array_equal(stacked(chain([0.5, 0.6, 0.75])), stacked(dwell([0.0, 0.1, 0.2])))
-    assert_array_equal(stacked(chain([0.2, 0.3])), stacked(line([0.2, 0.3])))
-    assert_array_equal(chain(1.25).position, [0.1, 0.05])
-
-
 # --- motions in files ---------------------------------------------------------------------------------------------
 
 FILE = """
@@ -219,10 +204,7 @@ def test_motion_rests_outside_its_duration(name):
 
 @every_name
 def test_motion_survives_json(name):
-    fields = {"duration": 1.25}
-    if "chain" in name:
-        fields = {"motions": [{"name": "line-" + name.partition("-")[2]}, 1.25]}
-    motion = TRAJECTORIES[name](**fields)
+    motion = TRAJECTORIES[name](duration=1.25)
     data = json.loads(json.dumps(to_jsonable(motion)))
     again = find_trajectory(data, motion.coordinates)
     assert (again, hash(again)) == (motion, hash(motion))
@@ -230,12 +212,6 @@ def test_motion_survives_json(name):
 
 
 # --- errors -------------------------------------------------------------------------------------------------------
-
-LINE = {"name": "line-planar", "start": [0.0, 0.0], "end": [0.1, 0.0]}
-
-
-def chain(*motions):
-    return {"name": "chain-planar", "motions": list(motions)}
 
 
 @pytest.mark.parametrize(
@@ -248,17 +224,6 @@ def chain(*motions):
         ),
         (Dwell(name="drift", pose=(0.0, 0.0)), 6, "'drift' has 2 coordinates and the robot has 6"),
         ({"name": "line-planar", "dwell": -0.1}, 2, "dwell must be .* at least 0 s, not -0.1"),
-        (
-            chain(LINE, LINE),
-            2,
-            r"part 2, 'line-planar', starts at \[0.0, 0.0\], .* ends at \[0.1, 0.0\]",
-        ),
-        (
-            chain({"name": "circle-planar"}),
-            2,
-            'starts with a nonzero acceleration .* or give it "dwell": 0.3',
-        ),
-        (chain(0.3, LINE), 2, "must be a list that starts with a motion"),
         ({"name": "loop-spatial", "reach": [0.1]}, 6, "reach must be 3 numbers"),
         ({"name": "line-planar", "end": POSE}, 2, "start has 2 coordinates and end has 6"),
         (

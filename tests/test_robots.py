@@ -33,8 +33,8 @@ from cablebot_gym.task import ErrorBounds, find_error_bounds
 NAN = math.nan
 INF = math.inf
 WALLED = PLANAR.replace(name="walled", workspace=((-0.3, 0.3), (-0.2, 0.4)))
-ELASTIC = FLEX_SPATIAL.replace(
-    transmission=FLEX_SPATIAL.transmission.replace(axial_stiffness=5e4),
+ELASTIC = SPATIAL.replace(
+    transmission=SPATIAL.transmission.replace(axial_stiffness=5e4),
     swivel_radius=0.02,
     center_of_mass=(0, 0, 0.1),
 )
@@ -183,6 +183,11 @@ ONE_ABOVE = [*UPSIDE_DOWN[:3], (*UPSIDE_DOWN[3][:2], CAMERA.home[2] - 0.1)]
         ),
         (PLANAR, {"transmission": DRUM | {"stiffness": 3.0}}, "needs stiffness and motor_inertia"),
         (PLANAR, {"transmission": DRUM | {"motor_damping": 0.01}}, "has no motor_damping"),
+        (
+            FLEX_SPATIAL,
+            {"transmission": FLEX_SPATIAL.to_dict()["transmission"] | {"axial_stiffness": 2e4}},
+            "exclude each other: remove stiffness and motor_inertia",
+        ),
         (SPATIAL, {"ranges": [("mass", (1.0, 2.0))]}, r"must be a table of \[low, high\]"),
         (SPATIAL, {"ranges": {"motors": (1.0, 2.0)}}, "'motors' is not a field with one number"),
         (SPATIAL, {"ranges": {"mass": (2.0, 1.0)}}, "mass: 2 is above 1; write"),

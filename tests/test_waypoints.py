@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_gym.motions import Chain, Waypoints, find_trajectory
+from cablebot_gym.motions import Waypoints, find_trajectory
+from cablebot_gym.motions.base import RATES
 from cablebot_gym.task import to_jsonable
 
 TEXT = "t,x,y\n5,0,0\n6,0.1,0.1\n7.5,0.1,-0.1\n8,0,0\n"
@@ -29,7 +30,9 @@ def test_spline_meets_the_waypoints_and_rests_at_both_ends(write_file):
     reference = motion(np.array([0.0, 0.3, 1.3, 2.8, 3.3, 3.6, 99.0]))
     expected = [[0, 0], [0, 0], [0.1, 0.1], [0.1, -0.1], [0, 0], [0, 0], [0, 0]]
     assert_allclose(reference.position, expected, atol=1e-9)
-    Chain(motions=(motion.motion, 0.5))  # it checks the rest up to snap
+    for time in (0.0, motion.motion.duration):
+        for rate in RATES:
+            assert not getattr(motion.motion(time), rate).any()
 
 
 def test_motion_survives_json_and_pickle_without_its_file(write_file, tmp_path):

@@ -88,10 +88,6 @@ _FIRST_MESHES = 3
 """Number of coarse meshes that may fail. With narrow error bounds about a jumping reference,
 coarse meshes are infeasible."""
 
-_STRONGER, _WIDER = 1e3, 0.05
-"""Relaxations that identify the limiting constraint: factor of the motor strength, and error bound
-[m, rad]."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class BestKnownReplay:
@@ -136,9 +132,6 @@ class BestKnownPayload(Result):
     """Payload of the nonlinear program without margins, on the finest mesh [kg]."""
     meshes: tuple[tuple[int, float], ...]
     """Pairs of number of intervals and payload [kg] for every mesh."""
-    margins: dict[str, float]
-    """Largest margin of the replayed motion to each limit. It holds only near the times at which
-    the limit needs it."""
     environment: dict[str, Any]
     """Robot, trajectory and control frequency, as JSON-able data."""
     versions: dict[str, str]
@@ -199,8 +192,7 @@ def find_best_known(
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if an argument is invalid, or if no motion within the limits is found. The
-            message names the limiting constraint.
+        ValueError: if an argument is invalid, or if no motion within the limits is found.
     """
     import_casadi()
     case = _case(env_id, robot, trajectory, error_bounds, control_frequency)
@@ -336,7 +328,7 @@ class _Problem:
         if found is None:
             actions = self._track(best, self.tightening.no_profile()).actions
             replays = tuple(replay for replay, _ in self._replays(actions, best.payload))
-            found = _Verified(motion=best, actions=actions, margins=Margins(), replays=replays)
+            found = _Verified(motion=best, actions=actions, replays=replays)
         robot = self.robot
         motion = found.motion
         return BestKnownPayload(
@@ -348,7 +340,6 @@ class _Problem:
             error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.point_mass else {}),
             program_payload=best.payload,
             meshes=tuple((count, mesh.payload) for count, mesh in meshes),
-            margins=to_jsonable(found.margins),
             environment={
                 "robot": robot.to_dict(),
                 "trajectory": to_jsonable(self.trajectory),
@@ -379,7 +370,7 @@ class _Problem:
             or best.payload < 0
             or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass
         ):
-            raise ValueError(self._infeasibility(intervals, best))
+            raise ValueError(self._infeasibility(best))
         meshes = [(intervals, best)]
         finest = MAX_MESH_FACTOR * intervals
         while 2 * intervals <= finest:
@@ -425,44 +416,17 @@ class _Problem:
             self.robot, self.trajectory, self.error_bounds, intervals=intervals, period=period
         )
 
-    def _infeasibility(self, intervals: int, best: PlannedMotion | None) -> str:
+    def _infeasibility(self, best: PlannedMotion | None) -> str:
         """Error message for a problem without a solution."""
         name = self.trajectory.name
         remedy = "Choose a slower motion, wider error bounds or a lighter platform"
         if best is None:
-            return f"no motion along {name!r} within the limits was found; limiting: {self._cause(intervals)}. {remedy}"
+            return f"no motion along {name!r} within the limits was found. {remedy}"
         if best.payload < 0:
             heaviest = f"at most {self.robot.mass + best.payload:.3g} kg of the platform's {self.robot.mass:g} kg"
             return f"{name!r} is infeasible even unloaded: {heaviest} are feasible. {remedy}"
         heaviest = f"{HEAVIEST * self.robot.mass:g} kg"
         return f"nothing limits the payload on {name!r}: {heaviest} is feasible. Choose a faster motion"
-
-    def _cause(self, intervals: int) -> str:
-        """The constraint whose relaxation makes the problem feasible."""
-        motors = self.robot.motors
-        bounds = self.error_bounds
-        free_speed = tuple(_STRONGER * self.robot.per_motor(motors.free_speed))
-        stall_torque = tuple(_STRONGER * self.robot.stall_torque)
-        stronger = self.robot.replace(
-            motors=motors.replace(stall_torque=stall_torque, free_speed=free_speed),
-            maximum_tension=math.inf,
-        )
-        strength = "the motors' torque-speed lines"
-        if self.robot.maximum_tension != math.inf:
-            strength += " or the maximum tension"
-        wider = ErrorBounds(
-            position=max(_WIDER, bounds.position), rotation=max(_WIDER, bounds.rotation)
-        )
-        for cause, robot, error_bounds in (
-            (strength, stronger, bounds),
-            ("the error bounds", self.robot, wider),
-            (f"the error bounds together with {strength}", stronger, wider),
-        ):
-            with suppress(Infeasible):
-                program = MotionProgram(robot, self.trajectory, error_bounds, intervals=intervals)
-                if program.solve().payload >= 0:
-                    return cause
-        return "the cables, which can only pull, but the motion needs pushing forces"
 
     # --- replay ---
 
@@ -484,7 +448,7 @@ class _Problem:
                     motion = self._first_motion(program, start, margins)
                 else:
                     motion = program.resolve(margins, profile)
-            except (Infeasible, ValueError):  # larger margins are infeasible as well
+            except Infeasible:  # larger margins are infeasible as well
                 return None
             tracked = self._track(motion, profile)
             replays: list[BestKnownReplay] = []
@@ -498,7 +462,6 @@ class _Problem:
                 return _Verified(
                     motion=motion,
                     actions=tracked.actions,
-                    margins=profile.highest(margins),
                     replays=tuple(replays),
                 )
         return None
@@ -582,7 +545,6 @@ class _Verified:
 
     motion: PlannedMotion
     actions: Array
-    margins: Margins
     replays: tuple[BestKnownReplay, ...]
 
 

@@ -17,8 +17,8 @@ a robot under gravity whose motion starts at rest starts lower
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,9 +33,6 @@ from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, largest_s
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.checks import number, numbers
 
-LimitKind = Literal["torque", "tension"]
-LimitLine = Literal["upper", "lower"]
-
 GRID = 2000.0
 """Default frequency of the instants that approximate all times [Hz]. The error at a smooth extremum
 is proportional to the square of the period between two instants."""
@@ -43,15 +40,6 @@ is proportional to the square of the period between two instants."""
 _HEAVIEST = 1e6
 """Largest total mass in the search with the best tensions [kg]. If it is feasible, no limit is
 active."""
-
-_LIMITS: tuple[tuple[LimitKind, LimitLine], ...] = (
-    ("torque", "upper"),
-    ("torque", "lower"),
-    ("tension", "lower"),
-    ("tension", "upper"),
-)
-"""Kind and line of the limits along the last axis of :func:`_margins`, where a robot without a
-maximum tension does not have the last one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +52,8 @@ class ExactPayload:
 
     * Negative: the platform alone is too heavy by this mass.
     * ``inf``: no limit is active.
-    * ``-inf``: the motion is infeasible for every mass; ``motor``, ``time``, ``kind`` and ``line``
-      name one violated limit.
+    * ``-inf``: the motion is infeasible for every mass; ``motor`` and ``time`` name one violated
+      limit.
     """
     lowest: float
     """Least payload of the same interval [kg].
@@ -74,22 +62,10 @@ class ExactPayload:
     * Positive: the platform needs ballast.
     * ``inf``: the motion is infeasible for every mass.
     """
-    platform_mass: float
-    """Mass of the platform [kg]."""
     motor: int | None
     """Number of the motor or cable of the limit at the upper end, from 1; None without a limit."""
     time: float | None
     """Earliest time at which the limit is active [s]; None without a limit."""
-    kind: LimitKind | None
-    """Kind of the limit: torque of the motor or tension of the cable; None without a limit."""
-    line: LimitLine | None
-    """Side of the limit: U⁺ or U⁻ of the torque, minimum or maximum of the tension; None without a
-    limit."""
-
-    @property
-    def total_mass(self) -> float:
-        """Mass of platform and payload [kg]."""
-        return self.platform_mass + self.payload
 
 
 def exact_payload(
@@ -144,15 +120,9 @@ def exact_payload(
         times, reference = _all_times(robot, trajectory, grid)
     else:
         times, reference = control_instants(robot, trajectory, frequency)
-    if _uses_best_tensions(robot):
+    if robot.cables > robot.coordinates and robot.kind != "planar":
         return _payload_of_best_tensions(robot, times, reference, minimum_tension, line_speed)
     return _payload_of_affine_tensions(robot, times, reference, minimum_tension, line_speed)
-
-
-def _uses_best_tensions(robot: Robot) -> bool:
-    """Whether a motion may use any tensions within the limits: redundant cables, except on a planar
-    point mass."""
-    return robot.cables > robot.coordinates and robot.kind != "planar"
 
 
 def _uses_least_tensions(robot: Robot) -> bool:
@@ -195,8 +165,6 @@ class _ActiveLimit(NamedTuple):
 
     instant: int
     motor: int
-    limit: int
-    """Index in :data:`_LIMITS`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,7 +176,7 @@ class _Violations:
     high: Array
     """Upper ends, shape (count,) [kg]."""
     limits: Array
-    """Limits as in :class:`_ActiveLimit`, shape (count, 3), the earliest first."""
+    """Limits as in :class:`_ActiveLimit`, shape (count, 2), the earliest first."""
 
 
 def _payload_of_affine_tensions(
@@ -354,7 +322,7 @@ def _violations(node_masses: Array, margins: Array) -> _Violations:
     high = np.where(end_margin < 0, piece_end, zero)
     is_violated = (start_margin < 0) | (end_margin < 0)
     instant_piece_motor_limit = np.argwhere(is_violated)
-    limits = np.delete(instant_piece_motor_limit, 1, axis=1)  # without the piece
+    limits = instant_piece_motor_limit[:, [0, 2]]
     return _Violations(low=low[is_violated], high=high[is_violated], limits=limits)
 
 
@@ -398,19 +366,8 @@ def _payload_of_best_tensions(
     if low > high:  # no mass is feasible at all instants
         low = math.inf
         high = -math.inf
-    coefficients = intervals.coefficients[instant]
-    motor = int(np.argmax(np.abs(coefficients)))
-    # A positive coefficient means the upper bound of the tension, which is U⁺ where it is below the
-    # maximum tension. A negative one means the lower bound, which is U⁻ where it exceeds the minimum
-    # tension.
-    kind_and_line: tuple[LimitKind, LimitLine] = ("tension", "lower")
-    if coefficients[motor] > 0:
-        kind_and_line = ("tension", "upper")
-        if upper[instant, motor] < robot.maximum_tension:
-            kind_and_line = ("torque", "upper")
-    elif lower[instant, motor] > minimum_tension:
-        kind_and_line = ("torque", "lower")
-    limit = _ActiveLimit(instant, motor, _LIMITS.index(kind_and_line))
+    motor = int(np.argmax(np.abs(intervals.coefficients[instant])))
+    limit = _ActiveLimit(instant, motor)
     return _result(robot, times, low=low, high=high, active_limit=limit)
 
 
@@ -418,23 +375,9 @@ def _result(
     robot: Robot, times: Array, *, low: float, high: float, active_limit: _ActiveLimit | None
 ) -> ExactPayload:
     """Result from the ends of an interval of total masses [kg] and the limit at its upper end."""
-    interval = ExactPayload(
-        payload=high - robot.mass,
-        lowest=low - robot.mass,
-        platform_mass=robot.mass,
-        motor=None,
-        time=None,
-        kind=None,
-        line=None,
-    )
-    if active_limit is None:
-        return interval
-    kind, line = _LIMITS[active_limit.limit]
-    return replace(
-        interval,
-        motor=int(active_limit.motor) + 1,
+    motor = time = None
+    if active_limit is not None:
+        motor = int(active_limit.motor) + 1
         # without the offset of the times just before and after an instant
-        time=round(float(times[active_limit.instant]), 7),
-        kind=kind,
-        line=line,
-    )
+        time = round(float(times[active_limit.instant]), 7)
+    return ExactPayload(payload=high - robot.mass, lowest=low - robot.mass, motor=motor, time=time)

@@ -57,12 +57,6 @@ tension: an action that lags behind changes the tensions of the next periods."""
 class DrawnPayload:
     """Best known payload of one draw of an uncertainty."""
 
-    env_id: str
-    """Id of the environment."""
-    uncertainty: str
-    """Name of the uncertainty."""
-    seed: int
-    """Seed of the draw: an environment that is reset with it has this robot, wrench and delay."""
     payload: float | None
     """Best known payload as the judge counts it, the nominal one [kg]; None if none was found."""
     verified: bool
@@ -127,9 +121,6 @@ def find_drawn_best_known(
         payload = case.nominal_payload(verified.motion.payload)
         replays = verified.replays
     return DrawnPayload(
-        env_id=env_id,
-        uncertainty=uncertainty,
-        seed=seed,
         payload=payload,
         verified=verified is not None and nominal.verified,
         replays=replays,

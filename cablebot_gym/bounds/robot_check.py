@@ -18,27 +18,22 @@ from cablebot_gym.envs.settings import check_simulated, default_trajectory, fewe
 from cablebot_gym.kinematics import Array, segment_distance
 from cablebot_gym.motions import Reference, Trajectory, find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.hanging import RestPose, home_at_rest
-from cablebot_gym.physics.sag import sag, settle
+from cablebot_gym.physics.sag import sag
 from cablebot_gym.physics.statics import (
-    feasibility,
     feasible_payloads,
     holds,
     payload_ceiling,
+    payload_interval,
     required_load,
     resting,
+    status_with_payload,
     tension_bounds,
 )
 from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, least_norm
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
-from cablebot_gym.task import (
-    ErrorBounds,
-    check_workspace,
-    find_error_bounds,
-    motion_questions,
-)
+from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.results import Printed
 
@@ -117,11 +112,10 @@ class RobotCheck(Printed):
     payload: float
     """Payload of workspace, home pose and modes [kg]."""
     home: PayloadLimit
-    """Payloads that cables and motors hold at rest at the home pose; a platform on fewer cables
-    than coordinates hangs near it."""
-    workspace: float | None
+    """Payloads that cables and motors hold at rest at the home pose."""
+    workspace: float
     """Fraction of the workspace, at the home orientation, where cables and motors hold the payload
-    at rest; None for a platform that hangs."""
+    at rest."""
     modes: tuple[Mode, ...]
     """Softest and stiffest mode with locked and with free motors, see :func:`modes`."""
     substeps: int | None
@@ -165,13 +159,8 @@ class MotionCheck(Printed):
     :func:`~cablebot_gym.physics.statics.payload_ceiling` [kg]."""
     cables: tuple[CableSag, ...]
     """Sag of each cable; empty if the cables have no mass or the motion cannot be held."""
-    settled: tuple[float, ...] | None
-    """Change of the home pose by the sag and the weight of the cables [m, rad]; None if unknown."""
-    settled_tension: float | None
-    """Largest relative change of a tension at the home pose by sag and weight; None if unknown."""
     questions: tuple[str, ...]
-    """What may be meant otherwise: see :func:`~cablebot_gym.task.motion_questions`, and pairs of
-    cables that come close. Each has a remedy."""
+    """Pairs of cables that come close, each with a remedy."""
 
     def __str__(self) -> str:
         low, high = self.limit.least, self.limit.largest
@@ -198,8 +187,6 @@ class MotionCheck(Printed):
             "payload_range": self.payload_range and list(map(_finite_or_none, self.payload_range)),
             "ceiling": _finite_or_none(self.ceiling),
             "cables": [vars(cable) for cable in self.cables],
-            "settled": self.settled,
-            "settled_tension": self.settled_tension,
             "questions": list(self.questions),
         }
 
@@ -212,38 +199,21 @@ def check_model(robot: Robot, *, payload: float | None = None) -> RobotCheck:
         payload: payload [kg]; None for the least one of the robot's payload range, else 0.
 
     Raises:
-        ValueError: if the payload is invalid.
+        ValueError: if the payload is invalid, or the simulation does not know the kind of the
+            robot.
     """
+    check_simulated(robot)
     payload = _payload_of(robot, payload)
     try:
         substeps = fewest_substeps(robot)
     except ValueError:  # springs that are much too stiff
         substeps = None
-    oscillations: list[Mode] = []
-    workspace = None
-    try:
-        oscillations = modes(robot, payload)
-        if robot.hanging:
-            home = _hanging_limit(robot, payload)
-        else:
-            home = payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload)
-            workspace = float(np.mean(holds(robot, _grid(robot), payload)))
-    except ValueError:
-        if not robot.hanging:
-            raise
-        home = PayloadLimit(
-            least=math.inf,
-            largest=-math.inf,
-            time=0.0,
-            pose=robot.home_pose,
-            reason="the platform does not hang near home_pose: move it, or correct center_of_mass",
-        )
     return RobotCheck(
         robot=robot,
         payload=payload,
-        home=home,
-        workspace=workspace,
-        modes=tuple(oscillations),
+        home=payload_limit(robot, np.zeros(1), resting(robot.home[None]), payload),
+        workspace=float(np.mean(holds(robot, _grid(robot), payload))),
+        modes=tuple(modes(robot, payload)),
         substeps=substeps,
     )
 
@@ -273,20 +243,15 @@ def check_motion(
     check_workspace(robot, motion, bounds)
     times = np.linspace(0, motion.duration, SAMPLES)
     reference = motion(times)
-    cables, settled, tension = (
-        _sag(robot, reference, payload) if np.any(robot.cable_density) else ((), None, None)
-    )
     return MotionCheck(
         trajectory=motion,
         error_bounds=bounds,
         payload=payload,
         limit=payload_limit(robot, times, reference, payload),
-        payload_range=payload_range(robot, times, reference),
+        payload_range=payload_range(robot, reference),
         ceiling=payload_ceiling(robot, motion, bounds),
-        cables=cables,
-        settled=settled,
-        settled_tension=tension,
-        questions=(*motion_questions(robot, motion), *_close_cables(robot, times, reference)),
+        cables=_sag(robot, reference, payload),
+        questions=tuple(_close_cables(robot, times, reference)),
     )
 
 
@@ -325,7 +290,7 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     _, upper = tension_bounds(robot, reference, robot.minimum_tension)
     coefficients = payloads.coefficients[index]
     if payload < least:  # what excludes this payload, not a larger one
-        coefficients = feasibility(robot, reference, payload).coefficients[index]
+        coefficients = status_with_payload(robot, reference, payload).coefficients[index]
     reason = "the cables are singular"
     if payloads.status[index] != SINGULAR:
         reason = limiting_cables(robot, coefficients, upper[index])
@@ -338,7 +303,7 @@ def payload_limit(robot: Robot, times: Array, reference: Reference, payload: flo
     )
 
 
-def payload_range(robot: Robot, times: Array, reference: Reference) -> tuple[float, float] | None:
+def payload_range(robot: Robot, reference: Reference) -> tuple[float, float] | None:
     """Least and largest of the payloads with which cables and motors can follow a reference [kg],
     over the robot's ``ranges``; minus infinite if there is none. None for a robot without ranges.
 
@@ -350,7 +315,7 @@ def payload_range(robot: Robot, times: Array, reference: Reference) -> tuple[flo
         return None
 
     def largest(values: dict[str, float]) -> float:
-        return payload_limit(with_values(robot, values), times, reference, 0.0).largest
+        return payload_interval(with_values(robot, values), reference)[1]
 
     payloads = [largest({})]
     worst: dict[str, float] = {}
@@ -373,28 +338,6 @@ def two_digits(*payloads: float) -> str:
             text = f"{float(f'{payload:.2g}'):g}"
         texts.append(text)
     return " to ".join(dict.fromkeys(texts))
-
-
-def _hanging_limit(robot: Robot, payload: float) -> PayloadLimit:
-    """Payloads that a platform on fewer cables than coordinates hangs with: all tensions are in
-    proportion to its mass."""
-    rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
-    lightest = robot.mass * robot.minimum_tension / rest.tensions
-    upper = textbook.largest_tensions(robot)
-    heaviest = robot.mass * upper / rest.tensions
-    too_light = robot.mass + payload < lightest.max()
-    coefficients = np.zeros(robot.cables)
-    if too_light:
-        coefficients[np.argmax(lightest)] = -1.0
-    else:
-        coefficients[np.argmin(heaviest)] = 1.0
-    return PayloadLimit(
-        least=max(0.0, float(lightest.max()) - robot.mass),
-        largest=float(heaviest.min()) - robot.mass,
-        time=0.0,
-        pose=tuple(rest.pose.tolist()),
-        reason=limiting_cables(robot, coefficients, upper),
-    )
 
 
 def limiting_cables(robot: Robot, coefficients: Array, upper: Array) -> str:
@@ -429,8 +372,7 @@ def _grid(robot: Robot) -> Array:
 
 
 def modes(robot: Robot, payload: float = 0.0) -> list[Mode]:
-    """Softest and stiffest mode with locked motors, then with free motors; empty for a rigid robot
-    whose cables hold all coordinates.
+    """Softest and stiffest mode with locked motors, then with free motors; empty for a rigid robot.
 
     Free motors keep their torques. The platform can then also move without winding a spring; these
     motions are left out.
@@ -438,23 +380,18 @@ def modes(robot: Robot, payload: float = 0.0) -> list[Mode]:
     Args:
         robot: the robot.
         payload: payload [kg].
-
-    Raises:
-        ValueError: if a platform on fewer cables than coordinates does not hang at home.
     """
-    if not (robot.flexible or robot.hanging):
+    if not robot.flexible:
         return []
     mass = robot.mass + payload
-    rest = home_at_rest(robot, mass, textbook.allocated_minimum(robot))
-    softened = _softened(robot, rest)
-    inertia = textbook.linear_model(softened, mass=mass, pose=rest.pose).inertia
-    frequencies, shapes = textbook.locked_modes(softened, mass, rest.pose, rest.tensions)
-    found = [_mode(robot, inertia, frequencies, shapes, index, locked=True) for index in (0, -1)]
-    if robot.flexible:
-        frequencies, shapes = textbook.free_modes(softened, mass, rest.pose, rest.tensions)
-        found += [
-            _mode(robot, inertia, frequencies, shapes, index, locked=False) for index in (0, -1)
-        ]
+    tensions = textbook.static_torque(robot, mass, robot.home) / robot.pulley_radius
+    softened = _softened(robot, tensions)
+    inertia = textbook.linear_model(softened, mass=mass).inertia
+    found = []
+    for locked, solve in ((True, textbook.locked_modes), (False, textbook.free_modes)):
+        frequencies, shapes = solve(softened, mass, robot.home, tensions)
+        for index in (0, -1):
+            found.append(_mode(robot, inertia, frequencies, shapes, index, locked=locked))
     return found
 
 
@@ -470,12 +407,12 @@ def _mode(
     return Mode(frequency=float(frequencies[index]), direction=direction, locked=locked)
 
 
-def _softened(robot: Robot, rest: RestPose) -> Robot:
-    """The robot with the stiffness that sagging cables have at rest: the part between pulley and
-    base anchor does not sag."""
+def _softened(robot: Robot, tensions: Array) -> Robot:
+    """The robot with the stiffness that sagging cables have at home with tensions (m,): the part
+    between pulley and base anchor does not sag."""
     if not (robot.elastic and np.any(robot.cable_density)):
         return robot
-    loose = sag(robot, rest.pose, rest.tensions)
+    loose = sag(robot, robot.home, tensions)
     straight = loose.length + robot.extra_length
     factor = np.maximum(loose.stiffness_factor, 1e-9)  # 0 of a slack cable
     softer = straight / (loose.length / factor + robot.extra_length)
@@ -486,45 +423,27 @@ def _softened(robot: Robot, rest: RestPose) -> Robot:
 # --- sag ----------------------------------------------------------------------------------------------------------
 
 
-def _sag(
-    robot: Robot, reference: Reference, payload: float
-) -> tuple[tuple[CableSag, ...], tuple[float, ...] | None, float | None]:
-    """Sag of each cable, and change of pose and tensions at home; nothing if the motion or the pose
-    is not held."""
+def _sag(robot: Robot, reference: Reference, payload: float) -> tuple[CableSag, ...]:
+    """Sag of each cable; none if the cables have no mass or the motion is not held."""
+    if not np.any(robot.cable_density):
+        return ()
     lower, upper = tension_bounds(robot, reference, robot.minimum_tension)
     structure = textbook.jacobian(robot, reference.position)
     found = least_norm(structure, required_load(robot, reference, payload), lower, upper)
     if np.any(found.status != HELD):
-        return (), None, None
-    least = found.tensions.argmin(axis=0)
-    every = np.arange(robot.cables)
+        return ()
     loose = sag(robot, reference.position, found.tensions)
-    cables = tuple(
-        CableSag(
+    cables = []
+    for i, k in enumerate(found.tensions.argmin(axis=0)):
+        cable = CableSag(
             length=float(loose.length[k, i]),
             tension=float(found.tensions[k, i]),
             sag=float(loose.sag[k, i]),
             extra_length=float(loose.extra_length[k, i]),
             stiffness_factor=float(loose.stiffness_factor[k, i]) if robot.elastic else None,
         )
-        for k, i in zip(least, every, strict=True)
-    )
-    mass = robot.mass + payload
-    rest = np.zeros(robot.coordinates)
-    home = least_norm(
-        textbook.jacobian(robot, robot.home),
-        textbook.bias(robot, mass, robot.home, rest),
-        robot.minimum_tension,
-        robot.maximum_tension,
-    )
-    if home.status != HELD:
-        return cables, None, None
-    try:
-        settled = settle(robot, mass, robot.home, home.tensions)
-    except ValueError:
-        return cables, None, None
-    change = float(np.max(np.abs(settled.tensions / home.tensions - 1)))
-    return cables, tuple(settled.pose_change.tolist()), change
+        cables.append(cable)
+    return tuple(cables)
 
 
 # --- cables that touch ---------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import typer
 
 from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.physics.compiling import compiled_at_once
-from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders, is_damaged, is_temporary
+from cablebot_gym.physics.compiling.code_cache import REMEDY, code_folders
 from cablebot_gym.physics.textbook import (
     holding_torque,
     normalised_action,
@@ -115,20 +115,15 @@ def _version(name: str) -> str | None:
 
 
 def _compiled_code() -> Iterator[Finding]:
-    """One finding for the folder to which compiled code is written, and one for damaged files in
-    all folders."""
+    """The folders of compiled code."""
     folders = code_folders()
     files = [path for folder in folders for path in sorted(folder.glob("*.nbc"))]
     count = f"{len(files)} compiled files" if files else "no compiled files yet"
-    is_usable = is_writable_dir(folders[-1]) and not is_temporary(folders[-1])
+    is_usable = is_writable_dir(folders[-1])
     text = f"{', '.join(map(str, folders))}: {count}"
     if not is_usable:
         text += f". No cache folder is writable, so new code is not kept: {REMEDY}"
     yield Finding(name="compiled code", ok=is_usable or bool(files), text=text)
-    damaged = [str(path) for path in files if is_damaged(path)]
-    if damaged:
-        text = f"delete {', '.join(damaged)}. Damaged code is compiled again when it is needed."
-        yield Finding(name="damaged compiled code", ok=False, text=text)
 
 
 def _plans() -> Iterator[Finding]:

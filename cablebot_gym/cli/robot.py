@@ -134,12 +134,9 @@ def report(check: RobotCheck) -> list[str]:
     if home.least <= home.largest:
         held = f"holds {_interval(home, robot)}"
     lines += [f"home       {held} at rest:", f"           {home.reason}"]
-    if check.workspace is not None:
-        lines.append(
-            f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
-        )
-    elif home.least <= home.largest:
-        lines.append(f"rest       hangs on its cables at the pose ({_numbers(home.pose)})")
+    lines.append(
+        f"workspace  {check.payload:g} kg at rest in {check.workspace:.0%} of it, at the home orientation"
+    )
     for locked, text in ((True, "motors locked"), (False, "motors free")):
         # the softest and the stiffest mode, or none
         frequencies = [
@@ -149,11 +146,9 @@ def report(check: RobotCheck) -> list[str]:
         ]
         if frequencies:
             lines.append(f"modes      {text}: softest {frequencies[0]}, stiffest {frequencies[1]}")
-    if not check.modes and not robot.hanging:
+    if not check.modes:
         lines.append("modes      none: the transmission is rigid and the cables do not stretch")
-    if robot.hanging:
-        lines.append("step       none: the simulation does not know fewer cables than coordinates")
-    elif check.substeps is None:
+    if check.substeps is None:
         lines.append("step       the springs are too stiff for the default physics step")
     else:
         step = f"{1e3 / FREQUENCY / check.substeps:.3g} ms"
@@ -255,7 +250,7 @@ def _anchors(robot: Robot) -> str:
 
 
 def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
-    """Lines of the sag at the least tensions of the motion, and of its effect at home."""
+    """Lines of the sag at the least tensions of the motion."""
     if not motion.cables:
         why = "the cables have no mass; set cable_density"
         if np.any(check.robot.cable_density):
@@ -271,11 +266,4 @@ def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:
             f"{start}cable {number}, {cable.length:.3g} m, at {cable.tension:.4g} N or more: {text}"
         )
         start = " " * 11
-    if motion.settled is None or motion.settled_tension is None:
-        return [*lines, "           the sag lets the platform fall too far for a linear estimate"]
-    d = check.robot.dimensions
-    moved = [f"{1e3 * math.hypot(*motion.settled[:d]):.2f} mm"]
-    if motion.settled[d:]:
-        moved.append(f"{1e3 * max(map(abs, motion.settled[d:])):.2f} mrad")
-    text = f"sag and weight move the home pose by {' and '.join(moved)}"
-    return [*lines, f"           {text}, tensions by up to {motion.settled_tension:.0%}"]
+    return lines

@@ -112,7 +112,8 @@ class Disturbances:
             self._noise = NormalRows(self._streams, Purpose.SENSORS, self._count, components)
         self._noise.restart(env_indices)
         self._noise_std[env_indices] = noise_std
-        normal = self._streams.normal(env_indices, Purpose.SENSOR_BIAS, components)
+        first = np.zeros(len(env_indices), np.int64)
+        normal = self._streams.normal(env_indices, Purpose.SENSOR_BIAS, first, (components,))
         self._bias[env_indices] = bias_std * normal
 
     def delayed(self, action: Array) -> Array:

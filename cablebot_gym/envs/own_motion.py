@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.motions import Reference, find_trajectory
-from cablebot_gym.physics.statics import feasible_payloads, resting
-from cablebot_gym.physics.tensions.distribution import HELD
+from cablebot_gym.physics.statics import payload_interval, resting
 from cablebot_gym.robots import Robot
 
 FRACTIONS = (0.5, 0.25, 0.12, 0.06, 0.03)
@@ -40,16 +39,16 @@ def own_motion(robot: Robot) -> dict[str, Any]:
 @lru_cache(maxsize=64)
 def _own_motion(robot: Robot) -> dict[str, Any]:
     home = robot.home[None]
-    least, at_home = _payload_range(robot, resting(home))
+    least, at_home = payload_interval(robot, resting(home))
     if least <= 0 < at_home:
         for motion in _lemniscates(robot):
             path = _reference(motion, robot)
-            least, held = _payload_range(robot, resting(path.position))
+            least, held = payload_interval(robot, resting(path.position))
             if least > 0 or held < at_home / 2:
                 continue
             for duration in DURATIONS:
                 motion["duration"] = float(f"{duration:.2g}")
-                least, moved = _payload_range(robot, _reference(motion, robot))
+                least, moved = payload_interval(robot, _reference(motion, robot))
                 if least <= 0 and moved >= min(held / 2, robot.mass):
                     return motion
     return {"name": f"dwell-{robot.kind}", "pose": list(robot.home_pose)}
@@ -75,12 +74,3 @@ def _lemniscates(robot: Robot) -> Iterator[dict[str, Any]]:
 def _reference(motion: dict[str, Any], robot: Robot) -> Reference:
     trajectory = find_trajectory(motion, robot.kind)
     return trajectory(np.linspace(0.0, trajectory.duration, _SAMPLES))
-
-
-def _payload_range(robot: Robot, reference: Reference) -> tuple[float, float]:
-    """Least and largest payload with which cables and motors follow a reference [kg]; (inf, −inf)
-    if there is none."""
-    payloads = feasible_payloads(robot, reference)
-    if np.any(payloads.status != HELD):
-        return np.inf, -np.inf
-    return float(payloads.least.max()), float(payloads.largest.min())

@@ -5,7 +5,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache
 from numbers import Real
 from typing import Annotated, Any, NamedTuple, Self, get_args
 
@@ -14,24 +13,19 @@ from gymnasium import logger
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from cablebot_gym.envs.limits import minimum_tension
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.envs.outcome import REWARD_TERMS
 from cablebot_gym.envs.own_motion import own_motion
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import Measurement, find_measurement
 from cablebot_gym.motions import Trajectory, find_trajectory
-from cablebot_gym.physics import textbook
-from cablebot_gym.physics.tensions.distribution import HELD, feasible
+from cablebot_gym.physics.statics import hold_payload
 from cablebot_gym.physics.textbook import fastest_decay_rate, highest_frequency
 from cablebot_gym.robots import KIND_TEXTS, Cable, Robot, find_robot, has_paper_geometry
 from cablebot_gym.task import (
     ErrorBounds,
-    at_rest,
     check_workspace,
     find_error_bounds,
-    motion_questions,
-    start_pose,
 )
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import (
@@ -350,16 +344,18 @@ class Settings:
         return replace(self, **changes)
 
     def note_unheld_start(self) -> None:
-        """Warns, once, if cables and motors cannot hold even the least payload at the start of a
-        motion from rest."""
-        if not at_rest(self.trajectory(0.0)):
-            return
+        """Warns if the motors cannot hold even the least payload at the start of a motion from
+        rest."""
         payload = float(np.min(self.payload))
         if self.payload_range is not None:
             payload = self.payload_range[0]
-        pose = start_pose(self.robot, self.trajectory, self.error_bounds)
-        least = minimum_tension(self.robot, self.cable)
-        _note_unheld_pose(self.robot, payload, self.trajectory.name, tuple(pose.tolist()), least)
+        held = hold_payload(self.robot, self.trajectory, self.error_bounds)
+        if payload > held:
+            logger.warn(
+                f"robot {self.robot.name!r} with {payload:g} kg cannot be held at the start of "
+                f"{self.trajectory.name!r}: its motors are too weak. All episodes fail; `cablebot robot check` shows "
+                "what the robot holds"
+            )
 
     @property
     def period(self) -> float:
@@ -443,7 +439,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         values["trajectory"] = default_trajectory(robot)
     scope = Scope(robot, count)
     checked = {name: KEYWORDS[name].check(name, value, scope) for name, value in values.items()}
-    _check_motion(robot, checked["trajectory"], checked["error_bounds"])
+    check_workspace(robot, checked["trajectory"], checked["error_bounds"])
     if checked["cable"] == "bilateral" and np.any(robot.load_friction):
         raise ValueError(
             "cable='bilateral': load_friction is for cables that only pull. Omit cable, or set load_friction to 0"
@@ -466,14 +462,10 @@ def check_simulated(robot: Robot) -> None:
     if robot.hanging:
         raise ValueError(
             f"{robot.name}: {KIND_TEXTS[robot.kind]} needs at least {robot.coordinates} cables, not {robot.cables}. "
-            "With fewer it swings, and no motors can move it along a reference: add cables. `cablebot robot check` "
-            "computes its statics and modes"
+            "With fewer it swings, and no motors can move it along a reference: add cables"
         )
     if robot.swivel_axes:
-        raise ValueError(
-            "swivel_axes: the simulation knows vertical axes only. Remove swivel_axes, or use "
-            "`cablebot robot check`"
-        )
+        raise ValueError("swivel_axes: the simulation knows vertical axes only. Remove swivel_axes")
 
 
 def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -> dict[str, Any]:
@@ -497,30 +489,8 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
             checked[name] = RESET_OPTIONS[name](name, value, scope)
     if "trajectory" in checked:
         bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
-        _check_motion(robot, checked["trajectory"], bounds)
+        check_workspace(robot, checked["trajectory"], bounds)
     return checked
-
-
-def _check_motion(robot: Robot, motion: Trajectory, bounds: ErrorBounds) -> None:
-    """Refuses a motion out of the workspace, and warns of one that may be meant otherwise."""
-    check_workspace(robot, motion, bounds)
-    for question in motion_questions(robot, motion):
-        logger.warn(question)
-
-
-@cache
-def _note_unheld_pose(
-    robot: Robot, payload: float, motion: str, pose: tuple[float, ...], least: float
-) -> None:
-    structure = textbook.jacobian(robot, pose)
-    weight = textbook.bias(robot, robot.mass + payload, pose, np.zeros(robot.coordinates))
-    largest = textbook.largest_tensions(robot)
-    if feasible(structure, weight, np.maximum(least, -largest), largest).status != HELD:
-        logger.warn(
-            f"robot {robot.name!r} with {payload:g} kg cannot be held at the start of {motion!r}: no tensions from "
-            f"{least:g} N to {largest.max():.3g} N balance it. All episodes fail; `cablebot robot check` shows what "
-            "the robot holds"
-        )
 
 
 def fewest_substeps(

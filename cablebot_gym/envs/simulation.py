@@ -25,7 +25,6 @@ from cablebot_gym.physics.rest import equilibrium_torques, motor_start
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.task import Task, at_rest, start_pose
 from cablebot_gym.uncertainty import PARAMETERS, RobotArrays, Uncertainty, draw_size
-from cablebot_gym.utils.threads import call_all
 
 
 class Simulation:
@@ -40,23 +39,20 @@ class Simulation:
         robot: robot, as the environments take it.
         batch: leading axes of the actions: (N,), or () for the single environment.
         keywords: further keywords of the environments.
-        threads: number of threads that share a step.
 
     Raises:
         TypeError: if a keyword is unknown.
         ValueError: if a value is invalid.
     """
 
-    def __init__(
-        self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any], threads: int = 1
-    ) -> None:
+    def __init__(self, robot: Any, batch: tuple[int, ...], keywords: Mapping[str, Any]) -> None:
         self.count = count = math.prod(batch)
         self.settings = settings = make_settings(robot=robot, count=count, **keywords)
         """Checked constructor keywords."""
         robot = settings.robot
         self._action_shape = (*batch, robot.cables)
         self.layout = observation_layout(robot, settings.measurement)
-        self._plant = Plant(robot, count, cable=settings.cable, parts=threads)
+        self._plant = Plant(robot, count, cable=settings.cable)
         self._parameters = pack_parameters(robot)
         self._tables = ReferenceTables(
             settings.control_frequency, settings.substeps, to_snap=robot.flexible
@@ -116,7 +112,7 @@ class Simulation:
 
     def __getstate__(self) -> dict[str, Any]:
         """The attributes without those of :meth:`_bind`."""
-        bound = ("_outcome_arguments", "_advance_calls", "_outcome_calls", "_step_calls")
+        bound = ("_outcome_arguments", "_advance", "_outcome")
         return {name: value for name, value in self.__dict__.items() if name not in bound}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -151,7 +147,7 @@ class Simulation:
             info=self.info,
             cables=self.cables,
         )
-        self._advance_calls = plant.advance_calls(
+        self._advance = plant.advance_call(
             tables.physics,
             tables.physics_ends,
             substeps=self.settings.substeps,
@@ -159,17 +155,9 @@ class Simulation:
         )
         # Plain tuples: numba finds their type several times faster than that of named ones.
         self._outcome_arguments = tuple(self._constants), tuple(episodes), tuple(outputs)
-        self._outcome_calls = []
-        self._step_calls = []
-        for robots, advance in zip(plant.parts, self._advance_calls, strict=True):
-            find_outcome = partial(
-                outcome.outcome.present,
-                False,
-                self._all_indices[robots],
-                *self._outcome_arguments,
-            )
-            self._outcome_calls.append(find_outcome)
-            self._step_calls.append(partial(_call_in_turn, advance, find_outcome))
+        self._outcome = partial(
+            outcome.outcome.present, False, self._all_indices, *self._outcome_arguments
+        )
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -367,8 +355,6 @@ class Simulation:
             self._plant.set_state(env_indices, pose, velocity)
             if nominal.flexible:
                 self._plant.set_motors(env_indices, motors.motor_angle, motors.speed)
-            if nominal.jointed and nominal.elastic:
-                self._plant.set_pulleys(env_indices, motors.pulley_angle, motors.speed)
             self._plant.set_torques(env_indices, motors.torque)
             action = normalised_action(true_robots, motors.torque, motors.speed)
             self._disturbances.reset(env_indices, uncertainty, np.clip(action, -1.0, 1.0))
@@ -408,14 +394,9 @@ class Simulation:
             applied = self._disturbances.delayed(sent)
             self._disturbances.update_wrench(plant)
         plant.set_action(applied)
-        if self._disturbances.quiet and not self.settings.measurement.winches:
-            # Nothing is measured in between: each thread makes both calls, and threads wait for
-            # each other once.
-            call_all(self._step_calls)
-            return
-        call_all(self._advance_calls)
+        self._advance()
         self._measure(self._all_indices, fresh=False)
-        call_all(self._outcome_calls)
+        self._outcome()
 
     def observe(self, readings: ArrayLike, sent: ArrayLike | None = None) -> None:
         """Makes the next observation from the sensors of real robots in place of the plant's. Reward
@@ -438,11 +419,6 @@ class Simulation:
             self._disturbances.measure(env_indices, self._plant.step_index[env_indices])
         if self.settings.measurement.winches:
             self._sensors.read(env_indices, self._plant, self.truth, fresh=fresh)
-
-
-def _call_in_turn(advance: Callable[[], None], find_outcome: Callable[[], None]) -> None:
-    advance()
-    find_outcome()
 
 
 def _check_actions(actions: ArrayLike, shape: tuple[int, ...]) -> Array:

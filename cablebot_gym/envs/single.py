@@ -283,9 +283,8 @@ class CableBotEnv(SpecChecked, gym.Env[Array, Array]):
 
     | field | default | meaning |
     |---|---|---|
-    | `low`, `high` | | bounds of the deviation, as a fraction of the nominal value: −0.1 is −10 % |
+    | `low`, `high` | | bounds of the uniform deviation, as a fraction of the nominal value: −0.1 is −10 % |
     | `relative` | true | false: the deviation is in the unit of the parameter, which anchors require |
-    | `distribution` | "uniform" | or "normal" with `mean` (default 0) and `std`, truncated at the bounds |
     | `each` | true | one draw for each motor, axis or coordinate; false: one draw for all of them |
 
     The names of the parameters are {parameters}.

@@ -82,28 +82,19 @@ class Streams:
     def uniform(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
         """Uniform numbers in [0, 1) for the present episodes of ``env_indices``, (len(env_indices),
         size)."""
-        first_blocks = np.zeros(len(env_indices), np.int64)
-        draw = self._generator.random
-        return self._draw(draw, env_indices, purpose, first_blocks, (size,))
+        first = np.zeros(len(env_indices), np.int64)
+        return self._draw(self._generator.random, env_indices, purpose, first, (size,))
 
-    def normal(self, env_indices: NDArray[np.int64], purpose: Purpose, size: int) -> Array:
-        """Standard normal numbers for the present episodes of ``env_indices``, (len(env_indices),
-        size)."""
-        first_blocks = np.zeros(len(env_indices), np.int64)
-        draw = self._generator.standard_normal
-        return self._draw(draw, env_indices, purpose, first_blocks, (size,))
-
-    def normal_block(
+    def normal(
         self,
         env_indices: NDArray[np.int64],
         purpose: Purpose,
         blocks: NDArray[np.int64],
-        width: int,
+        shape: tuple[int, ...],
     ) -> Array:
-        """Standard normal numbers, one block for each environment, (len(env_indices), BLOCK,
-        width)."""
+        """Standard normal numbers of one block for each environment, (len(env_indices), *shape)."""
         draw = self._generator.standard_normal
-        return self._draw(draw, env_indices, purpose, blocks, (BLOCK, width))
+        return self._draw(draw, env_indices, purpose, blocks, shape)
 
     def _draw(
         self,
@@ -164,9 +155,9 @@ class NormalRows:
         stale = np.flatnonzero(self._blocks[env_indices] != blocks)
         if stale.size:
             renewed = env_indices[stale]
-            width = self._values.shape[-1]
-            self._values[renewed] = self._streams.normal_block(
-                renewed, self._purpose, blocks[stale], width
+            shape = self._values.shape[1:]
+            self._values[renewed] = self._streams.normal(
+                renewed, self._purpose, blocks[stale], shape
             )
             self._blocks[renewed] = blocks[stale]
         rows: Array = self._values[env_indices, interval % BLOCK]

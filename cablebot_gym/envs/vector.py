@@ -24,58 +24,6 @@ from cablebot_gym.utils.checks import check_keywords, choice, whole
 VectorStep = tuple[Array, Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
 
 
-_SHARED = {
-    "action_space": "single_action_space",
-    "observation_space": "single_observation_space",
-    "settings": "settings",
-    "layout": "layout",
-    "spec": "spec",
-    "metadata": "metadata",
-    "render_mode": "render_mode",
-}
-"""Attributes of the single environment that are equal in all environments, with their names in the
-vector environment."""
-
-
-class SingleView:
-    """One environment of a vector environment: the attributes of the single environment, and those
-    of ``set_attr``."""
-
-    def __init__(self, vector: CableBotVectorEnv, env_index: int) -> None:
-        self._vector = vector
-        self._env_index = env_index
-
-    @property
-    def task(self) -> Task:
-        """Task of the present episode."""
-        return self._vector._simulation.task(self._env_index)
-
-    @property
-    def truth(self) -> dict[str, Array]:
-        """True parameters of the present episode."""
-        return self._vector._simulation.truth_of(self._env_index)
-
-    @property
-    def pose(self) -> Array:
-        """True pose X, shape (n,)."""
-        pose: Array = self._vector.pose[self._env_index]
-        return pose
-
-    @property
-    def np_random_seed(self) -> int:
-        """Seed of the present episode's streams."""
-        return int(self._vector._simulation.streams.seeds[self._env_index])
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in _SHARED:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        return getattr(self._vector, _SHARED[name])
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """The present picture, shape (480, 640, 3), as in the single environment."""
-        return self._vector.picture(self._env_index)
-
-
 class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
     """N environments :class:`~cablebot_gym.envs.single.CableBotEnv` in one batch.
 
@@ -92,8 +40,6 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         autoreset_mode: an :class:`AutoresetMode` or its value. An autoreset uses the constructor
             keywords: reset options apply to one episode only.
         render_mode: None or ``rgb_array``.
-        threads: number of threads that share a step, in tiles of 32 environments. It does not
-            change the results, and pays from about a thousand environments on.
         keywords: further keywords of the single environment.
 
     An environment is truncated by the step that completes its motion. With autoreset disabled it
@@ -120,7 +66,6 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         max_episode_steps: int | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
-        threads: int = 1,
         **keywords: Any,
     ) -> None:
         check_keywords(keywords, KEYWORDS, type(self))
@@ -135,9 +80,7 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self.metadata = {**self.metadata, "autoreset_mode": autoreset_mode}
         self.autoreset_mode = autoreset_mode
         """Autoreset mode, an attribute of Gymnasium's own vector environments too."""
-        self._simulation = Simulation(
-            robot, (self.num_envs,), keywords, threads=whole("threads", threads, least=1)
-        )
+        self._simulation = Simulation(robot, (self.num_envs,), keywords)
         self.settings = self._simulation.settings
         """Checked constructor keywords."""
         self.layout = self._simulation.layout
@@ -152,7 +95,6 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         self._pictures: Pictures | None = None
         if render_mode is not None:
             self._pictures = Pictures(self._simulation, self.settings.robot.name)
-        self._singles = tuple(SingleView(self, env_index) for env_index in range(self.num_envs))
 
     @property
     def tasks(self) -> tuple[Task, ...]:
@@ -283,69 +225,9 @@ class CableBotVectorEnv(SpecChecked, VectorEnv[Array, Array, Array]):
         """
         if self._pictures is None:
             return None
-        return self.call("render")
-
-    def picture(self, env_index: int) -> NDArray[np.uint8] | None:
-        """Picture of one environment, shape (480, 640, 3), if the render mode is ``rgb_array``;
-        else None.
-
-        Raises:
-            ResetNeeded: before the first reset.
-        """
-        if self._pictures is None:
-            return None
         if not self._started:
             raise ResetNeeded("call reset() before render()")
-        return self._pictures.array(env_index)
-
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Results of a method of each environment, or values of an attribute, as in Gymnasium's
-        vector environments.
-
-        Args:
-            name: name of a public method or attribute of the single environment, or one that
-                :meth:`set_attr` has set. ``reset`` and ``step`` are calls of this environment only.
-            args: arguments of the method.
-            kwargs: keywords of the method.
-
-        Raises:
-            AttributeError: if the environments have no such attribute.
-        """
-        values = []
-        for single in self._singles:
-            value = getattr(single, name)
-            if callable(value):
-                value = value(*args, **kwargs)
-            values.append(value)
-        return tuple(values)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Values of an attribute of each environment, as :meth:`call` returns them."""
-        return self.call(name)
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Sets an attribute of each environment, which :meth:`get_attr` returns.
-
-        Args:
-            name: name of the attribute.
-            values: list or tuple of N values, or one value for all environments.
-
-        Raises:
-            AttributeError: if the environments compute the attribute.
-            ValueError: if there are not N values.
-        """
-        if hasattr(SingleView, name) or name in _SHARED:
-            raise AttributeError(
-                f"the environments compute {name!r}: change it by keywords of gym.make_vec or by options of reset()"
-            )
-        if not isinstance(values, (list, tuple)):
-            values = [values] * self.num_envs
-        if len(values) != self.num_envs:
-            raise ValueError(
-                f"{name} needs {self.num_envs} values, one per environment, not {len(values)}"
-            )
-        for single, value in zip(self._singles, values, strict=True):
-            setattr(single, name, value)
+        return tuple(map(self._pictures.array, range(self.num_envs)))
 
     def _final(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         """Last observation and info of the episodes that have ended, in the form of Gymnasium's

@@ -25,7 +25,6 @@ _RESERVED = (
     "payload",
     "payload_range",
     "num_envs",
-    "threads",
     "max_episode_steps",
     "autoreset_mode",
 )

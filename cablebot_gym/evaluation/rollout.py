@@ -189,7 +189,7 @@ class Recorder:
             if robot.flexible:
                 motion["motor_angle"] = observation[:, slices["motor_angle"]]
         # the length of an elastic cable does not tell the pulley angle
-        if robot.jointed and not robot.elastic:
+        if robot.jointed:
             motion["spring_deflection"] = (
                 observation[:, slices["motor_angle"]] - self._pulley_angle()
             )

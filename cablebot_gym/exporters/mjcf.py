@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import product
 from textwrap import fill
 from typing import Any, Literal
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -67,18 +66,15 @@ def export_mjcf(
     """The robot as MJCF with actions as controls.
 
     Args:
-        robot: any robot without both joint springs and elastic cables.
+        robot: any robot.
         payload: payload at the centre of mass [kg], which does not change the inertia.
         timestep: duration of one RK4 step [s].
         holding_torques: torques r T that hold robot and payload at home, shape (m,) [N·m], for the
             keyframe ``home``; None for no keyframe.
-
-    Raises:
-        ValueError: if the robot has joint springs and elastic cables.
     """
     simplified = _without_friction(_with_points(robot))
     root = mjcf_tree(simplified, payload=payload, timestep=timestep)
-    notes = _notes(robot, simplified)
+    notes = _notes(robot)
     if holding_torques is not None:
         _add_home(root, simplified, holding_torques)
         if np.any(holding_torques > robot.stall_torque):
@@ -103,13 +99,8 @@ def mjcf_tree(
 ) -> Element:
     """The elements of MJCF of a robot, without its swivel pulleys and dry friction.
 
-    Arguments and errors are as in :func:`export_mjcf`.
+    The arguments are as in :func:`export_mjcf`.
     """
-    if robot.jointed and robot.elastic:
-        raise ValueError(
-            f"{robot.name} has joint springs and elastic cables, and MJCF holds only one of them: remove stiffness "
-            "and motor_inertia, or axial_stiffness"
-        )
     diagonal = _diagonal(robot)
     center = _padded(robot.home[: robot.dimensions])
     root = Element("mujoco", model=robot.name)
@@ -209,31 +200,26 @@ def _without_friction(robot: Robot) -> Robot:
     return robot.replace(transmission=smooth)
 
 
-def _notes(robot: Robot, simplified: Robot) -> list[str]:
-    """Differences between a robot and its file, which describes the simplified robot."""
+def _notes(robot: Robot) -> list[str]:
+    """Differences between a robot and its file."""
     notes = []
     if robot.elastic:
-        notes.append("The cables only pull, but their damping acts on slack cables, too.")
-        notes += _stretch_notes(simplified)
+        notes.append(
+            "The cables only pull, but their damping acts on slack cables, too. Their stiffness and damping are those "
+            "at home. The torques on the winches lack the work that stretches wound cable."
+        )
     elif robot.jointed:
         notes.append("The springs only pull, but pulleys push slack cables by their inertia.")
     else:
         notes.append("The cables push, too: the motion is that of the robot while all are taut.")
     if robot.swivel is not None:
-        notes.append(
-            "The cables end in points, where they leave their swivel pulleys at home. Within the workspace their "
-            f"lengths differ by up to {1e3 * _largest_length_error(robot, simplified):.3g} mm."
-        )
+        notes.append("The cables end in points, where they leave their swivel pulleys at home.")
     if np.any(robot.coulomb_friction):
-        friction = np.max(robot.coulomb_friction / robot.pulley_radius)
         notes.append(
-            f"The Coulomb friction, up to {friction:.3g} N at a cable, is left out. The attribute frictionloss of "
-            "tendons and joints is similar."
+            "The Coulomb friction is left out. The attribute frictionloss of tendons and joints is similar."
         )
     if np.any(robot.load_friction):
-        notes.append(
-            f"The friction per load, up to {np.max(robot.load_friction):.1%} of a tension, is left out."
-        )
+        notes.append("The friction per load is left out.")
     if np.any(robot.motor_lag):
         notes.append("The lag of a motor acts on its action, not on its torque.")
     notes.append(
@@ -241,36 +227,6 @@ def _notes(robot: Robot, simplified: Robot) -> list[str]:
         "control period."
     )
     return notes
-
-
-def _stretch_notes(simplified: Robot) -> list[str]:
-    """Notes on elastic cables, whose free lengths change when winches wind."""
-    extra = simplified.extra_length
-    at_corners = np.array([_lengths(simplified, pose) for pose in _corners(simplified)]) + extra
-    factors = (_lengths(simplified, simplified.home) + extra) / at_corners
-    strain = np.max(simplified.stall_torque / simplified.pulley_radius / simplified.axial_stiffness)
-    return [
-        "Stiffness and damping of the cables are those at home. In the corners of the workspace they are "
-        f"{factors.min():.2f} to {factors.max():.2f} times as much.",
-        "The torques on the winches lack the work that stretches wound cable, up to "
-        f"{strain / 2:.2%} of the stall torque.",
-    ]
-
-
-def _corners(robot: Robot) -> list[Array]:
-    """Poses with the home orientation in the corners of the workspace."""
-    d = robot.dimensions
-    positions = product(*robot.pose_bounds.T[:d])
-    return [np.append(position, robot.home[d:]) for position in positions]
-
-
-def _largest_length_error(robot: Robot, simplified: Robot) -> float:
-    """Largest difference of the wound lengths in the corners of the workspace [m]."""
-    at_home = _lengths(simplified, simplified.home) - _lengths(robot, robot.home)
-    errors = [
-        _lengths(simplified, pose) - _lengths(robot, pose) - at_home for pose in _corners(robot)
-    ]
-    return float(np.max(np.abs(errors)))
 
 
 def _gravity_text(robot: Robot) -> str:

@@ -1,5 +1,5 @@
-"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions,
-chains, random loops.
+"""Reference motions with time derivatives in closed form: the paper's circles, smooth motions, random
+loops.
 
 Most named motions are :class:`~cablebot_gym.motions.sequences.BetweenDwells`: the robot rests
 at the start pose first and at the end pose last.
@@ -12,7 +12,7 @@ m, angles in rad and times in s; z points down.
 * ``motions``: circles, dwells, lines and lemniscates.
 * ``spline``: a curve through waypoints.
 * ``loops``: random loops and their seeds.
-* ``sequences``: motions between dwells, and chains.
+* ``sequences``: motions between dwells.
 * ``names``: motions by name, from files and from data.
 """
 
@@ -36,10 +36,7 @@ from cablebot_gym.motions.loops import (
     held_out_seeds,
 )
 from cablebot_gym.motions.names import TRAJECTORIES, find_trajectory, trajectory_names
-from cablebot_gym.motions.sequences import (
-    BetweenDwells,
-    Chain,
-)
+from cablebot_gym.motions.sequences import BetweenDwells
 from cablebot_gym.motions.spline import Waypoints
 
 __all__ = [
@@ -48,7 +45,6 @@ __all__ = [
     "TRAINING_SEEDS",
     "TRAJECTORIES",
     "BetweenDwells",
-    "Chain",
     "Dwell",
     "Lemniscate",
     "PaperCircle",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping
 from functools import cache, partial
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from cablebot_gym.motions.curves import (
     SmoothCircle,
 )
 from cablebot_gym.motions.loops import RandomLoop
-from cablebot_gym.motions.sequences import DWELL, BetweenDwells, Chain
+from cablebot_gym.motions.sequences import DWELL, BetweenDwells
 from cablebot_gym.motions.spline import Waypoints, is_waypoint_file, read_waypoints
 from cablebot_gym.robots import COORDINATE_NAMES, Kind, Robot, find_robot
 from cablebot_gym.utils.checks import mapping, number, unknown_name_error
@@ -50,25 +49,6 @@ def _between_dwells(make: Callable[..., Trajectory], **fields: Any) -> Callable[
     return between_dwells
 
 
-def _chain(kind: Kind, *motions: Any) -> Callable[..., BetweenDwells]:
-    """Factory of a chain between dwells. Named motions in it have no dwells of their own unless
-    ``dwell`` is given."""
-
-    def resolved(motion: Any) -> Any:
-        if isinstance(motion, Real):
-            return motion
-        if isinstance(motion, Mapping) and "dwell" in _fields_of(motion.get("name")):
-            motion = {"dwell": 0.0, **motion}
-        return find_trajectory(motion, kind)
-
-    def chain(*, motions: Any = motions, name: str = f"chain-{kind}") -> Chain:
-        if isinstance(motions, (list, tuple)):
-            motions = tuple(map(resolved, motions))
-        return Chain(motions=motions, name=name)
-
-    return _between_dwells(chain)
-
-
 def _fields_of(name: Any) -> set[str]:
     """Fields of a named motion; empty if there is none of this name."""
     if is_waypoint_file(name):
@@ -86,7 +66,6 @@ def _motions_of(
     line: dict[str, Any],
     lemniscate: dict[str, Any],
     loop: dict[str, Any],
-    stroke: float,
 ) -> dict[str, Callable[..., Trajectory]]:
     """Named motions of a kind, from the fields of their classes.
 
@@ -97,7 +76,6 @@ def _motions_of(
         line: the line.
         lemniscate: the lemniscate.
         loop: the random loops.
-        stroke: duration of each line of the chain, which goes out and back [s].
     """
     smooth_circle = circle | {"duration": 2 * circle["duration"]}
     motions: dict[str, Callable[..., Trajectory]] = {}
@@ -113,9 +91,6 @@ def _motions_of(
             fields = {"center": center} | own_fields
         name = f"{motion}-{kind}"
         motions[name] = _between_dwells(make, name=name, **fields)
-    out = {"name": f"line-{kind}", "duration": stroke}
-    back = out | {"start": line["end"], "end": line["start"]}
-    motions[f"chain-{kind}"] = _chain(kind, out, DWELL, back)
     motions[f"dwell-{kind}"] = partial(Dwell, name=f"dwell-{kind}", pose=center)
     return motions
 
@@ -147,7 +122,6 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
             "reach": (0.2165,),
             "acceleration": (36.0,),
         },
-        stroke=1.0,
     ),
     **_motions_of(
         "spatial",
@@ -161,7 +135,6 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
             "reach": (0.11, 0.005, 0.01),
             "acceleration": (22.0, 5.0, 8.0),
         },
-        stroke=1.0,
     ),
     # Sized for the robots of the environments, stadium-camera and ttk4900.
     **_motions_of(
@@ -175,7 +148,6 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
             "reach": (5.0, 0.5),
             "acceleration": (14.0, 4.0),
         },
-        stroke=10.0,
     ),
     **_motions_of(
         "planar-platform",
@@ -188,7 +160,6 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
             "reach": (0.15, 0.02),
             "acceleration": (25.0, 30.0),
         },
-        stroke=4.0,
     ),
     "paper-planar": partial(PaperCircle, name="paper-planar", **_PLANAR_CIRCLE),
     "paper-spatial": partial(PaperCircle, name="paper-spatial", **_SPATIAL_CIRCLE),

@@ -3,11 +3,10 @@ from a guess."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array, cable_lengths
 from cablebot_gym.physics import kernel
@@ -21,19 +20,6 @@ TOLERANCE = 1e-12
 above 1 m, times the length of the longest one at the home pose."""
 
 _DAMPING = 1e-12  # of the normal equations, so that a singular pose gives a finite step; per cable
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ForwardKinematics:
-    """Poses from cable lengths."""
-
-    pose: Array
-    """Poses X, (..., n)."""
-    residual: Array
-    """Root mean square of the length errors at the pose [m], (...). Zero if there are as many
-    cables as coordinates; with more cables it shows wrong lengths."""
-    converged: NDArray[np.bool_]
-    """Whether the last step was below :data:`TOLERANCE`, (...)."""
 
 
 @lru_cache(maxsize=64)
@@ -55,8 +41,8 @@ def _prepared(robot: Robot) -> tuple[kernel.Form, Array, float]:
     return form, parameters, TOLERANCE * max(1.0, float(home.max()))
 
 
-def forward_kinematics(robot: Robot, lengths: ArrayLike, guess: ArrayLike) -> ForwardKinematics:
-    """The poses whose cable lengths are nearest to the given ones, near a guess.
+def forward_kinematics(robot: Robot, lengths: ArrayLike, guess: ArrayLike) -> Array:
+    """The poses X (..., n) whose cable lengths are nearest to the given ones, near a guess.
 
     Six cables admit several poses. The iteration converges to that of the guess, for example the
     last pose of a moving platform. A step that increases the length errors is halved.
@@ -83,14 +69,10 @@ def forward_kinematics(robot: Robot, lengths: ArrayLike, guess: ArrayLike) -> Fo
     count = int(np.prod(shape, dtype=int))
     pose[...] = guess
     found = pose.reshape(-1, n)
-    squares = np.empty(count)
-    ended = np.empty(count, bool)
     form, parameters, tolerance = _prepared(robot)
     lanes = 1 if count == 1 else rows.LANES
     memory = np.empty(len(parameters) * lanes), np.empty(rows.scratch_rows(form) * lanes)
     wanted = np.ascontiguousarray(lengths).reshape(-1, m)
     locate = kernel.compiled(form, lanes).locate
-    locate(parameters, tolerance, *memory, wanted, found, squares, ended)
-    return ForwardKinematics(
-        pose=pose, residual=np.sqrt(squares / m).reshape(shape), converged=ended.reshape(shape)
-    )
+    locate(parameters, tolerance, *memory, wanted, found)
+    return pose

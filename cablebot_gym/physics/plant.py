@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -125,12 +124,9 @@ class Plant:
         robot: nominal robot.
         count: number of robots N.
         cable: ``unilateral`` cables can only pull, ``bilateral`` cables can push too.
-        parts: number of parts of the batch that can be advanced in parallel; at most one per tile.
     """
 
-    def __init__(
-        self, robot: Robot, count: int, *, cable: Cable = "unilateral", parts: int = 1
-    ) -> None:
+    def __init__(self, robot: Robot, count: int, *, cable: Cable = "unilateral") -> None:
         self.robot = robot
         self.count = count
         self.unilateral = cable == "unilateral"
@@ -138,14 +134,6 @@ class Plant:
         tiles = -(-count // self.lanes)  # rounded up
         self.width = tiles * self.lanes
         """Number of lanes in memory: N plus the padding of the last tile."""
-        parts = min(parts, tiles)
-        edges = [tiles * part // parts for part in range(parts + 1)]  # nearly equal parts
-        self._tiles = tuple(slice(start, stop) for start, stop in pairwise(edges))
-        self.parts = tuple(
-            slice(tile.start * self.lanes, min(tile.stop * self.lanes, count))
-            for tile in self._tiles
-        )
-        """Robots of each part of the batch."""
         self._form = form_of(robot)
         self._parameters = kernel_memory(tiles, self._parameter_rows * self.lanes)
         self.record = kernel_memory(tiles, rows.record_rows(self._form) * self.lanes)
@@ -182,12 +170,8 @@ class Plant:
         self._advance = kernel.compiled(self._form, self.lanes).advance
         start = rows.FIRST_CABLE_RECORD + rows.DEMAND
         self._action = self._view(self.record, start, self.robot.cables, rows.CABLE_RECORDS)
-        self._memory = []
-        for tiles in self._tiles:
-            lanes = slice(tiles.start * self.lanes, tiles.stop * self.lanes)
-            scratch = kernel_memory(rows.scratch_rows(self._form) * self.lanes)
-            indices = self.trajectory_index[lanes], self.step_index[lanes]
-            self._memory.append((self._parameters[tiles], self.record[tiles], scratch, *indices))
+        scratch = kernel_memory(rows.scratch_rows(self._form) * self.lanes)
+        self._memory = self._parameters, self.record, scratch
 
     @property
     def _parameter_rows(self) -> int:
@@ -261,25 +245,9 @@ class Plant:
 
     def set_motors(self, index: Array, angle: Array, speed: Array) -> None:
         """Sets motor angles β′ and speeds β̇′, each (len(index), m), of flexible robots after
-        :meth:`set_state`.
-
-        With elastic cables and without joint springs they are those of the pulleys.
-        """
+        :meth:`set_state`."""
         self._write_cables(rows.MOTOR_ANGLE, index, angle)
         self._write_cables(rows.MOTOR_SPEED, index, speed)
-
-    def set_pulleys(self, index: Array, angle: Array, speed: Array) -> None:
-        """Sets pulley angles β and speeds β̇, each (len(index), m), between joint springs and
-        elastic cables."""
-        start = rows.pulley_record(self.robot.cables)
-        for row, values in enumerate((angle, speed)):
-            self._write(
-                self.record,
-                start + row,
-                np.asarray(index),
-                np.asarray(values, float),
-                rows.PULLEY_RECORDS,
-            )
 
     def set_torques(self, index: Array, torques: Array) -> None:
         """Sets the recorded motor torques (len(index), m) [N·m] after :meth:`set_state`.
@@ -310,34 +278,24 @@ class Plant:
             substeps: physics steps per control period.
             step: length of a physics step [s].
         """
-        for call in self.advance_calls(references, ends, substeps=substeps, step=step):
-            call()
+        self.advance_call(references, ends, substeps=substeps, step=step)()
 
-    def advance_calls(
+    def advance_call(
         self, references: Array, ends: Array, *, substeps: int, step: float
-    ) -> tuple[Callable[[], None], ...]:
-        """The calls of :meth:`advance`, one for each of :attr:`parts`, which may be made in
-        parallel.
-
-        They can be used until parameters of the robots change.
-        """
-        return tuple(
-            partial(
-                self._advance.present,
-                self.unilateral,
-                self._has_lag,
-                self._has_friction,
-                parameters,
-                record,
-                scratch,
-                references,
-                ends,
-                trajectory_index,
-                step_index,
-                substeps,
-                step,
-            )
-            for parameters, record, scratch, trajectory_index, step_index in self._memory
+    ) -> Callable[[], None]:
+        """The call of :meth:`advance`. It can be used until parameters of the robots change."""
+        return partial(
+            self._advance.present,
+            self.unilateral,
+            self._has_lag,
+            self._has_friction,
+            *self._memory,
+            references,
+            ends,
+            self.trajectory_index,
+            self.step_index,
+            substeps,
+            step,
         )
 
     @property
@@ -359,24 +317,6 @@ class Plant:
     def motor_speed(self) -> Array:
         """Motor speeds β̇′ of flexible robots, shape (N, m) [rad/s]."""
         return self.per_cable(rows.MOTOR_SPEED)
-
-    @property
-    def pulley_angle(self) -> Array:
-        """Pulley angles β of robots with elastic cables, shape (N, m) [rad]."""
-        if self.robot.jointed:
-            return self._pulley(0)
-        return self.motor_angle
-
-    @property
-    def pulley_speed(self) -> Array:
-        """Pulley speeds β̇ of robots with elastic cables, shape (N, m) [rad/s]."""
-        if self.robot.jointed:
-            return self._pulley(1)
-        return self.motor_speed
-
-    def _pulley(self, row: int) -> Array:
-        start = rows.pulley_record(self.robot.cables) + row
-        return self._read(self.record, start, self.robot.cables, rows.PULLEY_RECORDS)
 
     def per_cable(self, row: int) -> Array:
         """A row of the record per cable, such as ``rows.TENSION``, shape (N, m)."""

@@ -24,8 +24,6 @@ class MotorStart:
     """Motor and pulley speeds [rad/s]."""
     motor_angle: Array
     """Motor angles β′ [rad]; without meaning for rigid robots."""
-    pulley_angle: Array
-    """Pulley angles β [rad]; without meaning for rigid robots."""
 
 
 def equilibrium_torques(
@@ -82,21 +80,15 @@ def motor_start(robot: RobotArrays, torque: Array, pose: Array, velocity: Array)
     if robot.flexible or np.any(velocity):
         speed = textbook.pulley_speed(robot, pose, velocity)
     if not robot.flexible:
-        no_angle = np.zeros_like(speed)
-        return MotorStart(torque=torque, speed=speed, motor_angle=no_angle, pulley_angle=no_angle)
+        return MotorStart(torque=torque, speed=speed, motor_angle=np.zeros_like(speed))
     wound = np.clip(torque, -robot.stall_torque, robot.stall_torque)
     if not robot.elastic:
-        pulley_angle = textbook.pulley_angle(robot, pose)
-        motor_angle = pulley_angle + wound / robot.stiffness
-        return MotorStart(
-            torque=torque, speed=speed, motor_angle=motor_angle, pulley_angle=pulley_angle
-        )
+        motor_angle = textbook.pulley_angle(robot, pose) + wound / robot.stiffness
+        return MotorStart(torque=torque, speed=speed, motor_angle=motor_angle)
     tensions = wound / robot.pulley_radius
-    motor_angle, pulley_angle = textbook.rest_angles(robot, tensions, pose)
     stretch = 1 + tensions / robot.axial_stiffness  # cables are wound without their stretch
     return MotorStart(
         torque=textbook.holding_torque(robot, torque),
         speed=speed / stretch,
-        motor_angle=motor_angle,
-        pulley_angle=pulley_angle,
+        motor_angle=textbook.rest_angles(robot, tensions, pose),
     )

@@ -17,9 +17,7 @@ from cablebot_gym.motions import Reference, Trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.tensions.distribution import (
     HELD,
-    Feasibility,
     ScaleInterval,
-    feasible,
     largest_scale,
 )
 from cablebot_gym.robots import Robot
@@ -110,12 +108,21 @@ def feasible_payloads(robot: Robot, reference: Reference) -> ScaleInterval:
     return largest_scale(structure, unloaded, per_kilogram, least, largest, heaviest)
 
 
-def feasibility(robot: Robot, reference: Reference, payload: float) -> Feasibility:
-    """Whether cables and motors follow a reference with a payload [kg], at each of its instants."""
-    structure = textbook.jacobian(robot, reference.position)
+def payload_interval(robot: Robot, reference: Reference) -> tuple[float, float]:
+    """Least and largest payload with which cables and motors follow all of a reference [kg]; (inf,
+    −inf) if some instant allows none."""
+    payloads = feasible_payloads(robot, reference)
+    if np.any(payloads.status != HELD):
+        return math.inf, -math.inf
+    return float(payloads.least.max()), float(payloads.largest.min())
+
+
+def status_with_payload(robot: Robot, reference: Reference, payload: float) -> ScaleInterval:
+    """Status at each instant of a reference with a payload [kg], and the cables that exclude it."""
     load = required_load(robot, reference, payload)
+    structure = textbook.jacobian(robot, reference.position)
     least, largest = tension_bounds(robot, reference, robot.minimum_tension)
-    return feasible(structure, load, least, largest)
+    return largest_scale(structure, load, np.zeros_like(load), least, largest, 0.0)
 
 
 def holds(robot: Robot, poses: Array, payload: float) -> Array:
@@ -123,7 +130,7 @@ def holds(robot: Robot, poses: Array, payload: float) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):  # anchors and swivel pulleys
         known = _has_directions(robot, poses)
     held = np.zeros(len(poses), bool)
-    held[known] = feasibility(robot, resting(poses[known]), payload).status == HELD
+    held[known] = status_with_payload(robot, resting(poses[known]), payload).status == HELD
     return held
 
 
@@ -139,7 +146,8 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
         return math.inf
     pose = start_pose(robot, trajectory, error_bounds)
     if not robot.weightless and robot.cables > robot.coordinates:
-        return _largest_at_rest(robot.replace(maximum_tension=math.inf), pose)
+        stronger = robot.replace(maximum_tension=math.inf)
+        return payload_interval(stronger, resting(pose[None]))[1]
     empty = textbook.static_torque(robot, robot.mass, pose)
     loaded = textbook.static_torque(robot, robot.mass + 1.0, pose)
     slope = np.abs(loaded - empty)
@@ -149,26 +157,6 @@ def hold_payload(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds
     with np.errstate(divide="ignore", invalid="ignore"):
         payloads = np.where(slope > 0, room / slope, unlimited)
     return float(payloads.min())
-
-
-def _largest_at_rest(robot: Robot, pose: Array) -> float:
-    """Largest payload that cables and motors hold at rest at a pose [kg]; ``-inf`` if they hold
-    none."""
-    payloads = feasible_payloads(robot, resting(pose[None]))
-    if payloads.status[0] != HELD:
-        return -math.inf
-    return float(payloads.largest[0])
-
-
-def _payload_of_strength(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds) -> float:
-    """Largest payload at rest at the start pose for the maximum tension [kg]; ``inf`` without one,
-    or if the cables hold none there."""
-    if robot.maximum_tension == math.inf:
-        return math.inf
-    largest = _largest_at_rest(robot, start_pose(robot, trajectory, error_bounds))
-    if largest < 0:
-        return math.inf
-    return largest
 
 
 EXACT_FACTOR = 5.0
@@ -186,7 +174,13 @@ def payload_ceiling(robot: Robot, trajectory: Trajectory, error_bounds: ErrorBou
     """
     held = hold_payload(robot, trajectory, error_bounds)
     if math.isfinite(held):
-        return min(held, _payload_of_strength(robot, trajectory, error_bounds))
+        if robot.maximum_tension == math.inf:
+            return held
+        pose = start_pose(robot, trajectory, error_bounds)
+        _, strength = payload_interval(robot, resting(pose[None]))
+        if strength < 0:  # a controller may drop the platform to a pose with steeper cables
+            return held
+        return min(held, strength)
     if held < 0:
         return -math.inf
     instants = np.linspace(0.0, trajectory.duration, _SAMPLES)

@@ -12,7 +12,6 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
 from cablebot_gym.planning.motion import PlannedMotion
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import number, numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,9 +56,6 @@ class Follower:
     On a flexible robot the mean motor acceleration is used in the same way. The correction v = K_P
     e + K_D ė, with the pose error e, changes the spring torque κ by ∂κ/∂Ẍ v; the motor angles move
     by this torque over the stiffness of the springs (joint springs or elastic cables).
-
-    Raises:
-        ValueError: if a gain is negative, or another number is not positive.
     """
 
     robot: Robot
@@ -70,12 +66,6 @@ class Follower:
     """Natural angular frequency of the motor loop of a flexible robot [rad/s]; > 0."""
     motor_damping_ratio: float = 0.7
     """Damping ratio of the motor loop [-]; > 0."""
-
-    def __post_init__(self) -> None:
-        # Checks only: the converted numbers are not stored.
-        numbers("gains", self.gains, shapes=[(2,)], least=0.0)
-        number("motor_frequency", self.motor_frequency, above=0.0, unit="rad/s")
-        number("motor_damping_ratio", self.motor_damping_ratio, above=0.0)
 
     def action(
         self,
@@ -169,7 +159,7 @@ class Follower:
         """
         assert state.motor_angle is not None
         assert state.motor_speed is not None
-        model = textbook.cable_equivalent(self.robot)
+        model = self.robot
         inertia = model.pulley_inertia  # without joint springs the pulley turns with the motor
         if model.jointed:
             inertia = model.motor_inertia

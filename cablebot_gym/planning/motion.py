@@ -73,14 +73,6 @@ class MarginProfile:
         action = np.zeros((len(times), cables))
         return cls(times=times, position=zero, rotation=zero, action=action, tension=zero)
 
-    def highest(self, margins: Margins) -> Margins:
-        """The largest margin to each limit at any time, together with the constant ``margins``."""
-        largest = {
-            name: float(margin + getattr(self, name).max(initial=0.0))
-            for name, margin in vars(margins).items()
-        }
-        return Margins(**largest)
-
     def largest(self, name: str, instants: Array, reach: float) -> Array:
         """Largest margin of a limit within ``reach`` [s] of each instant, shape (instants, ...); 0
         where no time is in reach."""

@@ -23,7 +23,6 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.statics import HEAVIEST, hold_payload
-from cablebot_gym.physics.textbook import cable_equivalent
 from cablebot_gym.planning.assembly import Assembled
 from cablebot_gym.planning.blocks import (
     ConstraintBlock,
@@ -96,8 +95,7 @@ class MotionProgram:
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if a margin is not below its bound, the minimum tension exceeds the maximum
-            tension or the initial tension of a flexible planar robot, or the robot has motor lag.
+        ValueError: if the robot has motor lag.
     """
 
     def __init__(
@@ -114,7 +112,7 @@ class MotionProgram:
         self._ca = import_casadi()
         self._period = period
         check_model(robot)
-        self._robot = cable_equivalent(robot)
+        self._robot = robot
         self._trajectory = trajectory
         self._error_bounds = error_bounds
         self._lightest = lightest
@@ -141,29 +139,10 @@ class MotionProgram:
         self._solution: Any = None
 
     def set_margins(self, margins: Margins) -> None:
-        """Sets the margins of the next solutions.
-
-        Raises:
-            ValueError: if a margin is not below its bound, or the minimum tension exceeds the initial
-                tension of a flexible planar robot.
-        """
-        robot = self._robot
+        """Sets the margins of the next solutions."""
         self._margins = margins
-        self._least = robot.minimum_tension + margins.tension
-        self._largest = robot.maximum_tension - margins.tension
-        if self._least > self._largest:
-            room = (robot.maximum_tension - robot.minimum_tension) / 2
-            raise ValueError(f"margins: tension must be at most {room:g} N for {robot.name!r}")
-        for name in ("position", "rotation"):
-            bound = getattr(self._error_bounds, name)
-            if not getattr(margins, name) < bound:
-                raise ValueError(f"margins: {name} must be below the error bound {bound:g}")
-        initial = textbook.allocated_minimum(robot)
-        if robot.flexible and robot.cables > robot.coordinates and self._least > initial:
-            raise ValueError(
-                f"margins: tension must be at most {initial - robot.minimum_tension:g} N for {robot.name!r}, "
-                f"whose initial tension is {initial:g} N, not {margins.tension:g} N"
-            )
+        self._least = self._robot.minimum_tension + margins.tension
+        self._largest = self._robot.maximum_tension - margins.tension
 
     def solve(
         self,
@@ -204,7 +183,6 @@ class MotionProgram:
         Raises:
             Infeasible: if the solver finds no motion within the constraints, or the program has no
                 solution yet.
-            ValueError: if a margin is not below its bound.
         """
         self.set_margins(margins)
         if profile is not None:
@@ -384,7 +362,7 @@ class MotionProgram:
 
         def within(program: MotionProgram) -> tuple[Array, Array]:
             radius = program._error_radius("position")
-            return np.full_like(radius, -np.inf), radius**2
+            return np.full_like(radius, -np.inf), radius * np.abs(radius)  # negative: infeasible
 
         blocks = [self._constrain(times, distance, rows[:d], within)]
         if angles:

@@ -83,9 +83,9 @@ class Transmission:
     J β̈ + c β̇``.
 
     Elastic cables (``axial_stiffness``) are slack until they are stretched. Then T depends on their
-    strain, see :func:`~cablebot_gym.physics.textbook.drives.cable_springs`. Without joint springs, J
-    includes the motor and τ acts on it: ``J β̈ + c β̇ = τ − r T``. With joint springs, J is the
-    inertia between the two springs.
+    strain, see :func:`~cablebot_gym.physics.textbook.drives.cable_springs`. J includes the motor and
+    τ acts on it: ``J β̈ + c β̇ = τ − r T``. A joint spring in series with such a cable is
+    ``extra_length`` of it, EA r²/K.
     """
 
     pulley_radius: PerMotor
@@ -150,6 +150,11 @@ class Transmission:
                 raise ValueError(
                     "axial_damping and extra_length are for elastic cables: set axial_stiffness, or remove them"
                 )
+        elif self.stiffness is not None:
+            raise ValueError(
+                "joint springs and elastic cables exclude each other: remove stiffness and motor_inertia, and add "
+                "axial_stiffness × pulley_radius² / stiffness to extra_length"
+            )
         elif np.min(self.pulley_inertia) <= 0:
             raise ValueError(
                 "pulley_inertia must be greater than 0 with elastic cables: include the motor's inertia"

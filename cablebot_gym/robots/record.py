@@ -99,7 +99,7 @@ class Robot:
     """
     swivel_axes: tuple[tuple[float, ...], ...] = ()
     """Direction in which each cable runs along its swivel axis to the pulley, one (x, y, z) per
-    cable; empty for vertical axes. Statics and modes know all axes, the simulation vertical ones."""
+    cable; empty for vertical axes. The textbook knows all axes, the simulation vertical ones."""
     cable_density: PerMotor = 0.0
     """Mass of a cable per length [kg/m], one value or one per cable; ≥ 0. Only the check of the sag
     uses it."""
@@ -190,8 +190,8 @@ class Robot:
 
     @property
     def hanging(self) -> bool:
-        """Whether the cables are fewer than the coordinates: the platform swings. Statics and modes
-        know such a robot, the simulation does not."""
+        """Whether the cables are fewer than the coordinates: the platform swings. The textbook
+        knows such a robot, the simulation does not."""
         return self.cables < self.coordinates
 
     @cached_property
@@ -326,14 +326,10 @@ class Robot:
 
     @property
     def springs(self) -> str:
-        """What is elastic, as text: ``rigid``, ``joint springs``, ``elastic cables``, or the last
-        two."""
-        springs = []
+        """What is elastic, as text."""
         if self.jointed:
-            springs.append("joint springs")
-        if self.elastic:
-            springs.append("elastic cables")
-        return " and ".join(springs) or "rigid"
+            return "joint springs"
+        return "elastic cables" if self.elastic else "rigid"
 
     @property
     def joints(self) -> Literal["rigid", "flexible"]:

@@ -15,7 +15,7 @@ from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.bounds.drawn import _DrawnCase, find_drawn_best_known
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.motions import find_trajectory
-from cablebot_gym.planning import Margins, MotionProgram
+from cablebot_gym.planning import MotionProgram
 from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
@@ -88,9 +88,7 @@ def test_each_replay_has_to_verify(monkeypatch, line, failed):
     """The best motion is returned, as not verified, if none passes the replays."""
     replays = list(line.replays)
     replays[failed] = dataclasses.replace(replays[failed], violation="cable 1 is slack")
-    found = best_known._Verified(
-        motion=line.motion, actions=line.actions, margins=Margins(), replays=tuple(replays)
-    )
+    found = best_known._Verified(motion=line.motion, actions=line.actions, replays=tuple(replays))
     monkeypatch.setattr(best_known._Problem, "_refine", lambda *_: ([(20, line.motion)], None))
     monkeypatch.setattr(best_known._Problem, "_verify", lambda *_: found)
     assert not best_known._case(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
@@ -242,11 +240,11 @@ def test_slow_control_is_rejected(cache):
         ({"trajectory": "dwell-planar"}, "nothing limits the payload on 'dwell-planar'"),
         (
             {"error_bounds": {"position": 1e-6}},
-            "no motion along 'circle-planar' .*limiting: the error bounds",
+            "no motion along 'circle-planar' .* Choose a slower motion, wider error bounds",
         ),
     ],
 )
-def test_infeasible_problem_names_the_limit(arguments, message, monkeypatch):
+def test_infeasible_problem_names_the_remedy(arguments, message, monkeypatch):
     monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)

@@ -41,7 +41,6 @@ VECTOR_KEYWORDS = [
     ({"autoreset_mode": "never"}, "NextStep, SameStep, Disabled"),
     ({"render_mode": "human"}, "render_mode"),
     ({"num_envs": 3, "payload": [1.0, 2.0]}, "payload"),
-    ({"threads": 1.5}, "threads"),
 ]
 
 

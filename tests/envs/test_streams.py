@@ -45,7 +45,7 @@ def test_seeds_episodes_and_purposes_have_independent_numbers():
             uniform += list(random.uniform(everyone, purpose, 1600))
             for block in (0, 1, 300):
                 blocks = np.full(len(seeds), block)
-                numbers = random.normal_block(everyone, purpose, blocks, 50)
+                numbers = random.normal(everyone, purpose, blocks, (32, 50))
                 assert numbers.shape == (len(seeds), BLOCK, 50)
                 normal += list(numbers.reshape(len(seeds), -1))
             random.start_episode(everyone)

@@ -50,7 +50,7 @@ def after_one_second(name):
     robot = exported.robot
     peer = MujocoRobot(robot, exported=exported.text)
     peer.set_keyframe(0)
-    angle, _ = textbook.rest_angles(robot, torques / robot.pulley_radius, robot.home)
+    angle = textbook.rest_angles(robot, torques / robot.pulley_radius, robot.home)
     pose = robot.home[None]
     resting = State(pose, 0 * pose, angle[None], 0 * angle[None])
     plant = loaded_plant(damped(robot), resting, "unilateral", mass)
@@ -119,9 +119,3 @@ def test_action_has_the_lag_of_its_motor():
     peer.step(np.full(4, 0.75), 20)
     assert_allclose(peer.data.act, 0.75 - 0.5 * np.exp(-20e-3 / np.array(lag[1:3])), rtol=1e-6)
     assert any("lag" in note for note in exported.notes)
-
-
-def test_two_springs_in_series_are_refused():
-    robot = with_transmission(FLEX_QUAD, axial_stiffness=2e4, pulley_inertia=1e-3)
-    with pytest.raises(ValueError, match="remove stiffness and motor_inertia, or axial_stiffness"):
-        export_mjcf(robot)

@@ -95,20 +95,17 @@ def each_of(*robots):
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
 
-JOINTS = {"stiffness": 400.0, "motor_inertia": 3e-3, "motor_damping": 0.01}
 SWIVELLED_CAMERA = CAMERA.replace(swivel_radius=(0.1, 0.05, 0.0, 0.1))
 ELASTIC = (
     with_transmission(HANGING, axial_stiffness=2e4, axial_damping=40.0, extra_length=0.5),
-    with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4), **JOINTS),
+    with_transmission(TURNING, axial_stiffness=(2e4, 3e4, 1e4, 2e4, 5e4)),
     with_transmission(
         SWIVELLED_CAMERA, axial_stiffness=2e4, coulomb_friction=0.3, load_friction=0.1
     ),
-    with_transmission(
-        SWIVELLED, axial_stiffness=1e5, axial_damping=20.0, load_friction=0.05, **JOINTS
-    ),
+    with_transmission(SWIVELLED, axial_stiffness=1e5, axial_damping=20.0, load_friction=0.05),
 )
-"""The last one has everything: swivel pulleys, springs, elastic cables, load friction, an inertia and a
-centre of mass without symmetry."""
+"""The last one has swivel pulleys, elastic cables, load friction, an inertia and a centre of mass
+without symmetry."""
 
 rigid_robots = each_of(QUAD, UNEQUAL)
 FLEX_HANGING = with_transmission(
@@ -138,14 +135,6 @@ class State:
         """The state after a time at a rate, itself a state."""
         pairs = zip(vars(self).values(), vars(rate).values(), strict=True)
         return type(self)(*(value + time * slope for value, slope in pairs))
-
-
-@dataclasses.dataclass
-class ElasticState(State):
-    """Without joint springs the motors' states are those of the pulleys."""
-
-    pulley: np.ndarray
-    pulley_speed: np.ndarray
 
 
 def runge_kutta_step(rates, state, step):
@@ -185,9 +174,8 @@ def wound_states(robot, count, tension=400.0, spread=2.5):
     pose = robot.home + random.uniform(-0.15, 0.15, size)
     velocity = random.normal(size=size) / 3
     tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
-    motor, pulley = textbook.rest_angles(robot, tensions, pose)
-    speed = textbook.pulley_speed(robot, pose, velocity)
-    return ElasticState(pose, velocity, motor, speed.copy(), pulley, speed)
+    angle = textbook.rest_angles(robot, tensions, pose)
+    return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
 
 
 def random_motion(robot, shape, seed=1, spread=1.0):
@@ -224,18 +212,13 @@ def set_states(plant, state):
     plant.set_state(every, state.pose, state.velocity)
     if plant.robot.flexible:
         plant.set_motors(every, state.angle, state.speed)
-    if plant.robot.jointed and isinstance(state, ElasticState):
-        plant.set_pulleys(every, state.pulley, state.pulley_speed)
 
 
 def state_of(plant):
     state = plant.pose, plant.velocity
     if not plant.robot.flexible:
         return State(*state, *np.zeros((2, plant.count, plant.robot.cables)))
-    state += plant.motor_angle, plant.motor_speed
-    if plant.robot.elastic:
-        return ElasticState(*state, plant.pulley_angle, plant.pulley_speed)
-    return State(*state)
+    return State(*state, plant.motor_angle, plant.motor_speed)
 
 
 def record_of(plant):
@@ -295,25 +278,16 @@ def textbook_rates(robot, state, torques, cable="bilateral", mass=None):
 
 def _elastic_rates(robot, state, torques, cable, mass):
     tension, pulling = textbook.cable_springs(
-        robot, state.pose, state.velocity, state.pulley, state.pulley_speed, cable=cable
+        robot, state.pose, state.velocity, state.angle, state.speed, cable=cable
     )
     forces = np.einsum("kmn,km->kn", textbook.jacobian(robot, state.pose), tension)
     forces += textbook.bias(robot, mass, state.pose, state.velocity)
     inertia = textbook.mass_matrix(robot, mass, state.pose)
     platform = -np.linalg.solve(inertia, forces[..., None])[..., 0]
-    load = pulling
-    if robot.jointed:
-        load = twist = robot.stiffness * (state.angle - state.pulley)
-    friction = robot.coulomb_friction + robot.load_friction * np.abs(load)
+    friction = robot.coulomb_friction + robot.load_friction * np.abs(pulling)
     driving = torques - friction * state.speed / np.hypot(state.speed, 0.5)
-    motor = None
-    if robot.jointed:
-        motor = (driving - twist - robot.motor_damping * state.speed) / robot.motor_inertia
-        driving = twist
-    pulley = (driving - robot.damping * state.pulley_speed - pulling) / robot.pulley_inertia
-    motor = pulley if motor is None else motor
-    rates = state.velocity, platform, state.speed, motor, state.pulley_speed, pulley
-    return ElasticState(*rates), tension
+    motor = (driving - robot.damping * state.speed - pulling) / robot.pulley_inertia
+    return State(state.velocity, platform, state.speed, motor), tension
 
 
 def friction_torques(robot, state, torques, tension, cable):

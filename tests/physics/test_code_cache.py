@@ -49,17 +49,6 @@ def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     assert hits() == 1
 
 
-@pytest.mark.parametrize("mode", [0o700, 0o777])
-def test_temporary_folder_is_used_only_if_it_is_private(tmp_path, monkeypatch, mode):
-    """Whoever can write to it could run code as this user."""
-    monkeypatch.setattr(code_cache.tempfile, "gettempdir", lambda: str(tmp_path))
-    monkeypatch.setattr(code_cache, "is_writable_dir", lambda folder: False)
-    folder = code_cache._temporary_folder()
-    folder.mkdir()
-    folder.chmod(mode)
-    assert (folder in code_cache._folders("", tmp_path / str(mode))) == (mode == 0o700)
-
-
 def test_change_of_a_helper_in_another_file_compiles_again(folders, tmp_path, monkeypatch):
     folders(tmp_path / "cache")
     monkeypatch.syspath_prepend(tmp_path)

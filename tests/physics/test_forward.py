@@ -29,13 +29,9 @@ each_robot = each_of(
 def test_lengths_give_the_least_squares_pose(robot):
     """The pose itself, if they are exact."""
     poses, lengths, guess = case(robot, 100)
-    solution = forward_kinematics(robot, lengths, guess)
-    assert solution.converged.all()
-    assert np.abs(solution.pose - poses).max() < 1e-10
-    assert solution.residual.max() < 1e-11
+    assert np.abs(forward_kinematics(robot, lengths, guess) - poses).max() < 1e-10
     wrong = (lengths + np.random.default_rng(1).normal(0, 5e-3, lengths.shape))[:8]
-    solution = forward_kinematics(robot, wrong, guess[:8])
-    assert solution.converged.all()
+    found = forward_kinematics(robot, wrong, guess[:8])
     for k, measured in enumerate(wrong):
         best = least_squares(
             lambda x, measured=measured: textbook.cable_lengths(robot, x) - measured,
@@ -44,14 +40,9 @@ def test_lengths_give_the_least_squares_pose(robot):
             xtol=1e-15,
             ftol=1e-15,
         )
-        assert_allclose(solution.pose[k], best.x, atol=1e-7)
-        residual = np.sqrt(np.mean(best.fun**2))
-        assert_allclose(solution.residual[k], residual, rtol=1e-6, atol=1e-9)
+        assert_allclose(found[k], best.x, atol=1e-7)
         # a lane of a tile does not see the other ones, or wait for them
-        alone = forward_kinematics(robot, measured, guess[k])
-        assert_array_equal(alone.pose, solution.pose[k])
-        assert alone.residual == solution.residual[k]
-    assert (solution.residual > 1e-5).all() == (robot.cables > robot.coordinates)
+        assert_array_equal(forward_kinematics(robot, measured, guess[k]), found[k])
 
 
 def case(robot, count):

@@ -10,7 +10,7 @@ from oracles.plants import (
     KINDS,
     QUAD,
     UNEQUAL,
-    ElasticState,
+    State,
     advance,
     each_of,
     free_motors,
@@ -73,7 +73,7 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
     robot = with_transmission(robot, axial_stiffness=2e4, axial_damping=damping, extra_length=0.3)
     state, _ = random_states(robot, STATES, seed=24, reach=0.4)
     tensions = 400 * (1 + spread * np.random.default_rng(25).uniform(-1, 1, (STATES, robot.cables)))
-    _, angle = textbook.rest_angles(robot, tensions, state.pose)
+    angle = textbook.rest_angles(robot, tensions, state.pose)
     free_lengths = (
         textbook.cable_lengths(robot, robot.home) + robot.extra_length - robot.pulley_radius * angle
     )
@@ -84,7 +84,7 @@ def test_elastic_cables_are_the_one_sided_springs_of_mujoco(robot, spread):
         peer.set_free_lengths(free_lengths[lane])
         expected.append(peer.accelerations(np.zeros(robot.cables)))
     still = 0 * angle
-    elastic = ElasticState(state.pose, state.velocity, angle, still, angle, still)
+    elastic = State(state.pose, state.velocity, angle, still)
     rates, tension = textbook_rates(robot, elastic, still, "unilateral")
     assert np.all(tension > 0) == (spread < 1)
     assert worst_relative_error(rates.velocity, np.array(expected)) <= 1e-9

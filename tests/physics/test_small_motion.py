@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from oracles.plants import (
     FLEX_HANGING,
     ROUGH,
-    ElasticState,
     State,
     drive_speed,
     each_of,
@@ -83,28 +82,22 @@ PAYLOAD = 2.5
 SOFT = {"axial_stiffness": 2e4, "extra_length": 0.3}
 SPRINGS = {"stiffness": 900.0, "motor_inertia": 1e-3}
 ROBOTS = [PLANAR, *ROUGH, FLEX_HANGING]
-for name, springs in (("soft", SOFT), ("sprung", SPRINGS), ("both", SOFT | SPRINGS)):
+for name, springs in (("soft", SOFT), ("sprung", SPRINGS)):
     for robot in (CAMERA, SWIVELLED, TURNING):
         ROBOTS.append(with_transmission(robot, **springs).replace(name=f"{name}-{robot.name}"))
 
 
 def rates_of(robot, mass, states, actions):
-    """Rates (N, k) of states, which are angles of the platform, the pulleys of elastic cables and
-    the motors of joint springs, and their speeds."""
+    """Rates (N, k) of states, which are the pose and the angles of the motors of flexible robots, and
+    their rates."""
     positions, rates = np.hsplit(states, 2)
-    blocks = [robot.coordinates, robot.coordinates + robot.cables]
-    pose, *angles = np.split(positions, blocks, axis=1)
-    velocity, *speeds = np.split(rates, blocks, axis=1)
-    motor = int(robot.elastic and robot.jointed)
-    state = State(pose, velocity, angles[motor], speeds[motor])
-    if robot.elastic:
-        state = ElasticState(**vars(state), pulley=angles[0], pulley_speed=speeds[0])
+    pose, angle = np.split(positions, [robot.coordinates], axis=1)
+    velocity, speed = np.split(rates, [robot.coordinates], axis=1)
+    state = State(pose, velocity, angle, speed)
     torques = robot.stall_torque * actions - robot.speed_slope * drive_speed(robot, state)
     slopes, _ = textbook_rates(robot, state, torques, mass=mass)
     accelerations = [slopes.velocity]
-    if robot.elastic:
-        accelerations.append(slopes.pulley_speed)
-    if robot.jointed:
+    if robot.flexible:
         accelerations.append(slopes.speed)
     return np.concatenate([rates, *accelerations], axis=1)
 
@@ -116,10 +109,8 @@ def test_state_space_has_the_differences_of_the_equations(robot):
     mass = robot.mass + PAYLOAD
     pose = robot.home + np.linspace(0.02, 0.05, robot.coordinates)
     model = textbook.linearise(robot, pose, PAYLOAD)
-    motors, pulleys = textbook.rest_angles(robot, model.tensions, pose)
-    rest = np.concatenate(
-        [pose, pulleys[: robot.cables * robot.elastic], motors[: robot.cables * robot.jointed]]
-    )
+    angles = textbook.rest_angles(robot, model.tensions, pose)[: robot.cables * robot.flexible]
+    rest = np.concatenate([pose, angles])
     rest = np.concatenate([rest, 0 * rest])
     assert len(model.states) == len(model.units) == len(rest) == len(model.A)
     nudge = 1e-4

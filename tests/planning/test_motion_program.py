@@ -104,7 +104,7 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name):
     inverse = textbook.inverse_dynamics(rigid, mass, *state, minimum=minimum, strict=False)
     tensions = inverse.tensions[0]
     # The motors turn with the rigid cables, so that the damping of the elastic ones has no force.
-    angle, _ = textbook.rest_angles(robot, inverse.tensions, state[0])
+    angle = textbook.rest_angles(robot, inverse.tensions, state[0])
     speed = inverse.speeds[0]
     acceleration = np.arange(robot.cables) - 2.0
     torque = textbook.holding_torque(robot, robot.pulley_radius * tensions)

@@ -289,7 +289,7 @@ class MotorPD(FlexibleLaw):
         zero = np.zeros_like(pose)
         spring = self._inverse_dynamics(mass, pose, zero, zero).torques
         tensions = spring / self.model.pulley_radius
-        angle, _ = textbook.rest_angles(self.robot, tensions, pose)
+        angle = textbook.rest_angles(self.robot, tensions, pose)
         spring = textbook.holding_torque(self.robot, spring)
         measured_pose = blocks["pose"]
         measured_angle = blocks["motor_angle"]
@@ -306,7 +306,7 @@ class MotorPD(FlexibleLaw):
         spring, spring_rate, spring_second = self._reference_spring_torques(mass, blocks)
         stiffness = textbook.joint_stiffness(self.robot, pose)
         tensions = spring / robot.pulley_radius
-        angle, _ = textbook.rest_angles(self.robot, tensions, pose)
+        angle = textbook.rest_angles(self.robot, tensions, pose)
         # With elastic cables the motor torque at rest exceeds r T.
         spring = textbook.holding_torque(self.robot, spring)
         speed = required.speeds + spring_rate / stiffness

@@ -102,7 +102,7 @@ class KinematicEstimator:
         if state is not None:
             guess = np.where(starts[:, None], reference, state)
         home = textbook.cable_lengths(robot, robot.home)
-        pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess).pose
+        pose = forward_kinematics(robot, home - robot.pulley_radius * angle, guess)
         inverse = np.linalg.pinv(textbook.jacobian(robot, pose))
         rates = -robot.pulley_radius * blocks["motor_speed"]
         velocity = textbook.times_vector(inverse, rates)

@@ -273,14 +273,13 @@ def _reserve(robot: Robot) -> float:
 def with_lighter_payload(plan: PlannedMotion, robot: Robot, lightest: float) -> PlannedMotion:
     """A plan of a flexible robot with motor angles for the lightest payload too, as a start of a
     program with two payloads: those for the tensions that its motion requires."""
-    model = textbook.cable_equivalent(robot)
     inner = plan.degree - MOTOR_DEGREE
     knots = plan.knots[inner:-inner]
     times = np.linspace(0.0, plan.duration, SAMPLES_PER_KNOT * len(knots))
     motion = plan(times)
     mass = np.full(len(times), robot.mass + lightest)
     tensions = textbook.required_tensions(
-        model,
+        robot,
         mass,
         motion.position,
         motion.velocity,
@@ -288,6 +287,6 @@ def with_lighter_payload(plan: PlannedMotion, robot: Robot, lightest: float) -> 
         minimum=plan.minimum_tension,
         strict=False,
     )
-    angles, _ = textbook.rest_angles(model, tensions, motion.position)
+    angles = textbook.rest_angles(robot, tensions, motion.position)
     points: Array = make_lsq_spline(times, angles, knots, MOTOR_DEGREE).c
     return replace(plan, motors=(plan.motors[0], points), lightest=lightest)

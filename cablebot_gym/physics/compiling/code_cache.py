@@ -12,11 +12,8 @@ import hashlib
 import logging
 import os
 import pickle
-import stat
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from types import FunctionType, ModuleType
@@ -48,17 +45,10 @@ _LOGGER = logging.getLogger(PACKAGE)
 
 
 class CodeCache(_Cache):
-    """Compiled code of a function, in the interface by which numba's dispatchers use a cache.
+    """Compiled code of a function, in the interface by which numba's dispatchers use a cache."""
 
-    Args:
-        function: Python function.
-        announce: called before a signature is compiled.
-    """
-
-    def __init__(self, function: Any, announce: Callable[[], None]) -> None:
+    def __init__(self, function: Any) -> None:
         self._function = function
-        self._announce = announce
-        self._enabled = True
 
     @property
     def cache_path(self) -> str:
@@ -74,18 +64,20 @@ class CodeCache(_Cache):
             return CompileResult._rebuild(target_context, *pickle.loads(_checked(data)))
 
         name = self._file_name(sig, target_context.codegen())
-        for folder in code_folders() if self._enabled else ():
+        for folder in code_folders():
             compiled = read_cached(folder / name, rebuild)
             if compiled is not None:
                 return compiled
-        self._announce()
+        _say_once(
+            "compiling for this machine, once for each kind of robot: usually a few seconds each …"
+        )
         return None
 
     def is_stored(self, sig: Any, target_context: Any) -> bool:
         """Whether a folder has a file for a signature. It is read, and checked, by the first
         call."""
         name = self._file_name(sig, target_context.codegen())
-        return self._enabled and any((folder / name).exists() for folder in code_folders())
+        return any((folder / name).exists() for folder in code_folders())
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Stores the compiled code of a signature, if a folder is writable."""
@@ -101,18 +93,12 @@ class CodeCache(_Cache):
                 f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}"
             )
             return
-        if is_temporary(path.parent):
-            _say_once(
-                f"compiled code is stored in {path.parent}, because no cache folder is writable: {REMEDY}"
-            )
 
     def enable(self) -> None:
-        """Reads stored code from now on."""
-        self._enabled = True
+        """Has no effect: stored code is read always."""
 
     def disable(self) -> None:
-        """Reads no stored code from now on."""
-        self._enabled = False
+        """Has no effect, as :meth:`enable`."""
 
     def flush(self) -> None:
         """Has no effect: the files of other code have other names."""
@@ -136,56 +122,13 @@ def code_folders() -> list[Path]:
 
 @cache
 def _folders(named: str, user_cache: Path) -> tuple[Path, ...]:
-    """The candidates up to the first writable one. The last candidate is a folder for temporary
-    files."""
+    """The candidates up to the first writable one."""
     candidates = [Path(named, PACKAGE)] if named else []
     candidates += [Path(__file__).parents[2] / "__pycache__", user_cache / "compiled"]
     for number, folder in enumerate(candidates, 1):
         if is_writable_dir(folder):
             return tuple(candidates[:number])
-    temporary = _temporary_folder()
-    if temporary is not None and _make_private(temporary):
-        candidates.append(temporary)
     return tuple(candidates)
-
-
-def _temporary_folder() -> Path | None:
-    """This user's folder for temporary files; None if the machine has no folder for them."""
-    user = os.getuid() if hasattr(os, "getuid") else "code"
-    with suppress(OSError):
-        return Path(tempfile.gettempdir(), f"{PACKAGE}-{user}")
-    return None
-
-
-def _make_private(folder: Path) -> bool:
-    """Makes a folder of this user. Returns whether nobody else can write to it, and so run code as
-    this user."""
-    try:
-        with suppress(FileExistsError):
-            folder.mkdir(mode=0o700)
-        status = folder.lstat()
-    except OSError:
-        return False
-    if not hasattr(os, "getuid"):  # Windows: folders for temporary files belong to one user
-        return True
-    return (
-        stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
-    )
-
-
-def is_temporary(folder: Path) -> bool:
-    """Whether compiled code is in a folder for temporary files, because no other folder is
-    writable."""
-    return folder == _temporary_folder()
-
-
-def is_damaged(path: Path) -> bool:
-    """Whether a file of compiled code is not as it was written."""
-    try:
-        _checked(path.read_bytes())
-    except ValueError:
-        return True
-    return False
 
 
 def _checked(data: bytes) -> bytes:

@@ -1,11 +1,9 @@
-"""Loading of numba, compilation for the cache on disk, and one message for each robot that is
-compiled."""
+"""Loading of numba, and compilation for the cache on disk."""
 
 from __future__ import annotations
 
 import gc
-import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -32,8 +30,6 @@ with collection_paused():
 
     from cablebot_gym.physics.compiling.code_cache import CodeCache
 
-_LOGGER = logging.getLogger("cablebot_gym")
-
 
 @cache
 def load_numba() -> None:
@@ -53,46 +49,12 @@ def load_numba() -> None:
         linalg.ensure_blas = ensure_blas
 
 
-def cached_njit(function: Any, robot: str = "", **options: Any) -> Any:
+def cached_njit(function: Any, **options: Any) -> Any:
     """:func:`numba.njit` that stores compiled code on disk, see
-    :class:`~cablebot_gym.physics.compiling.code_cache.CodeCache`.
-
-    Args:
-        function: function to compile.
-        robot: the robot for which code is compiled, in words; empty for functions of all robots.
-        options: options of :func:`numba.njit`.
-    """
+    :class:`~cablebot_gym.physics.compiling.code_cache.CodeCache`."""
     compiled = numba.njit(**options)(function)
-    compiled._cache = CodeCache(function, _ANNOUNCEMENTS.announcer(robot))
+    compiled._cache = CodeCache(function)
     return compiled
-
-
-class _Announcements:
-    """Logs one line for each robot before its first function is compiled, at the level that Python
-    shows by default."""
-
-    def __init__(self) -> None:
-        self._announced: set[str] = set()
-        self._latest = "functions of all robots"
-
-    def announcer(self, robot: str) -> Callable[[], None]:
-        """Function to call before the compilation of code for a robot; empty for the robot that was
-        named last."""
-        if robot:
-            self._latest = robot
-        return lambda: self._announce(robot or self._latest)
-
-    def _announce(self, robot: str) -> None:
-        if robot not in self._announced:
-            self._announced.add(robot)
-            _LOGGER.warning(
-                "compiling for this machine, once: %s, in at most 2 forms (one robot, batches), usually a few seconds "
-                "each …",
-                robot,
-            )
-
-
-_ANNOUNCEMENTS = _Announcements()
 
 
 class _Preparation(event.Listener):

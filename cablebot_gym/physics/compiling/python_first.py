@@ -53,7 +53,6 @@ class EntryPoint:
         flat: whether all its arrays are indexed by numbers only, without slices. Python reads them
             faster then.
         in_python: other values in Python for variables that the function closes over.
-        robot: see :func:`~cablebot_gym.physics.compiling.loading.cached_njit`.
     """
 
     def __init__(
@@ -63,10 +62,9 @@ class EntryPoint:
         *,
         flat: bool = False,
         in_python: Mapping[str, Any] | None = None,
-        robot: str = "",
     ) -> None:
         self.compiled = cached_njit(
-            function, robot, nogil=True, error_model="numpy", no_cfunc_wrapper=True
+            function, nogil=True, error_model="numpy", no_cfunc_wrapper=True
         )
         self.left = BUDGET
         """Estimated time of Python that may still be spent [s]."""

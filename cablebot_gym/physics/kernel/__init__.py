@@ -13,9 +13,8 @@ For a point mass y = p̈ and row_i = u_i. For a platform in a plane y = (p̈, φ
 b_i × u_i) in the base frame.
 
 A swivel pulley adds terms to the bias, see :func:`space.swivelled`. Elastic cables have the
-tensions of :func:`textbook.cable_springs` at the angle β of their pulley, ``J β̈ = κ − c β̇ −
-torque of the cable``, and the set of taut cables follows from their strain. Without joint springs
-the pulley is the motor.
+tensions of :func:`textbook.cable_springs` at the angle β of their pulley, which turns with the motor,
+``J β̈ = τ − c β̇ − torque of the cable``, and the set of taut cables follows from their strain.
 
 F and M are the external force and moment at the centre of mass in the base frame; usually they are
 zero. The torque limits and the motors' friction hold at every stage of RK4, not only once per step:

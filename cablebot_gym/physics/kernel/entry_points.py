@@ -38,10 +38,9 @@ class Compiled(NamedTuple):
     needs, ``−Sᵀ T = load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates
     of S and load are those of y."""
     locate: Any
-    """``(parameters, tolerance, p, w, lengths, pose, squares, ended)``: poses (N, n),
-    which are the guesses before, of cable lengths (N, m); sums of the squared length errors and
-    whether the last step was below the tolerance, (N,). ``parameters`` have mass and inertia for
-    the damping, no gravity, and J/r² = 1."""
+    """``(parameters, tolerance, p, w, lengths, pose)``: poses (N, n), which are the guesses before, of
+    cable lengths (N, m). ``parameters`` have mass and inertia for the damping, no gravity, and J/r² =
+    1."""
 
 
 STEPS_TO_LOCATE = 8
@@ -54,7 +53,7 @@ def compiled(form: Form, lanes: int) -> Compiled:
     each number of cables, whose loops are unrolled. Numba compiles for the form because the
     functions close over it."""
 
-    compile_form = partial(entry_point, robot=form.robot_text, flat=True)
+    compile_form = partial(entry_point, flat=True)
     # the layout of a record depends on the lanes, unlike that of motions
     compile_motion = partial(compile_form, in_python={"lanes": 1})
     # estimated time of Python for one stage of the integration of one robot [s]
@@ -94,7 +93,7 @@ def compiled(form: Form, lanes: int) -> Compiled:
         demanded_tiles(form, lanes, parameters, p, w, mass, motion, structure, load, y, results)
 
     @compile_motion(seconds=lambda *arguments: STEPS_TO_LOCATE * stage * len(arguments[4]))
-    def locate(parameters, tolerance, p, w, lengths, pose, squares, ended):
-        locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, squares, ended)
+    def locate(parameters, tolerance, p, w, lengths, pose):
+        locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose)
 
     return Compiled(advance, required, demanded, locate)

@@ -12,7 +12,6 @@ import math
 from cablebot_gym.physics.compiling import inline
 from cablebot_gym.physics.kernel.motors import (
     drive_motors,
-    pulley_row,
     request_torques,
     subtract_friction,
 )
@@ -35,11 +34,6 @@ from cablebot_gym.physics.kernel.rows import (
     MOTOR_TORQUE,
     POSE,
     POSITION_PEAK,
-    PULLEY_RATE,
-    PULLEY_RECORDS,
-    PULLEY_STAGE,
-    PULLEY_START,
-    PULLEY_SUM,
     REQUEST,
     ROTATION_PEAK,
     SLACK,
@@ -50,7 +44,6 @@ from cablebot_gym.physics.kernel.rows import (
     TENSION,
     TORQUE,
     VELOCITY,
-    pulley_record_row,
 )
 from cablebot_gym.physics.kernel.stage import acceleration_row, stage_dynamics, stage_kinematics
 
@@ -159,16 +152,6 @@ def _rk4(form, lags, rubs, period_starts, unilateral, h, p, w, record, lanes):
                     value = row + MOTOR_STAGE + half
                     for at in range(lanes):
                         _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
-        if form.double:
-            for half in range(2):
-                rate_row = PULLEY_STAGE + 1 if half == 0 else PULLEY_RATE
-                for i in range(form.cables):
-                    row = pulley_row(form, i)
-                    start = row + PULLEY_START + half
-                    total = row + PULLEY_SUM + half
-                    value = row + PULLEY_STAGE + half
-                    for at in range(lanes):
-                        _blend(stage, h, w, at, lanes, start, total, value, row + rate_row)
 
 
 @inline
@@ -216,15 +199,6 @@ def _load_tile(form, record, w, lanes):
                     value = record[(rec + MOTOR_ANGLE + half) * lanes + at]
                     w[(row + MOTOR_START + half) * lanes + at] = value
                     w[(row + MOTOR_STAGE + half) * lanes + at] = value
-    if form.double:
-        for i in range(form.cables):
-            row = pulley_row(form, i)
-            rec = pulley_record_row(form.cables) + PULLEY_RECORDS * i
-            for half in range(2):
-                for at in range(lanes):
-                    value = record[(rec + half) * lanes + at]
-                    w[(row + PULLEY_START + half) * lanes + at] = value
-                    w[(row + PULLEY_STAGE + half) * lanes + at] = value
 
 
 @inline
@@ -237,12 +211,6 @@ def _store_tile(form, lags, record, w, lanes):
     for i in range(form.cables):
         row = FIRST_CABLE + CABLE_ROWS * i
         rec = FIRST_CABLE_RECORD + CABLE_RECORDS * i
-        if form.double:
-            start = pulley_row(form, i) + PULLEY_START
-            pulley_rec = pulley_record_row(form.cables) + PULLEY_RECORDS * i
-            for half in range(2):
-                for at in range(lanes):
-                    record[(pulley_rec + half) * lanes + at] = w[(start + half) * lanes + at]
         if form.flexible:
             for half in range(2):
                 for at in range(lanes):

@@ -31,7 +31,7 @@ _ITERATIONS = 50  # largest number of poses that are tried
 
 
 @inline
-def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, squares, ended):
+def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose):
     """Poses of given cable lengths: damped Gauss-Newton steps of all lanes in tiles.
 
     The dynamics at rest solve ``(m I₃, I) y = −Σ row_i (t_i + μ_i row_i·y)``. If t_i is the excess
@@ -40,8 +40,7 @@ def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, square
     step below the tolerance.
 
     ``lengths`` has shape (N, m) [m]. ``pose``, (N, n) [m, rad], has the first guesses, which the
-    results replace. The sums of the squares, (N,) [m²], are written to ``squares``, and whether
-    each lane ended to ``ended``.
+    results replace.
     """
     count = lengths.shape[0]
     copy_parameters(parameters, p, lanes)
@@ -81,8 +80,6 @@ def locate_tiles(form, lanes, parameters, tolerance, p, w, lengths, pose, square
         for at in range(min(lanes, count - start)):
             for j in range(form.coordinates):
                 pose[start + at, j] = w[(START + j) * lanes + at]
-            squares[start + at] = w[SQUARES * lanes + at]
-            ended[start + at] = w[ENDED * lanes + at] == 1.0
 
 
 @inline

@@ -39,9 +39,6 @@ from cablebot_gym.physics.kernel.rows import (
     PER_MOTOR_INERTIA,
     PER_PULLEY_INERTIA,
     PER_RADIUS,
-    PULLEY_RATE,
-    PULLEY_ROWS,
-    PULLEY_STAGE,
     RADIUS,
     REQUEST,
     SLOPE,
@@ -72,20 +69,13 @@ def twist_springs(form, unilateral, p, w, lanes):
                 twist = max(twist, 0.0)
             spring = p[(par + STIFFNESS) * lanes + at] * twist
             w[(row + DRIVE) * lanes + at] = spring
-            _turn_motor(form, spring, p, w, at, lanes, i)
-
-
-@inline
-def _turn_motor(form, spring, p, w, at, lanes, i):
-    """Acceleration of motor i behind a joint spring with a torque (Eq. 4)."""
-    par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
-    row = FIRST_CABLE + CABLE_ROWS * i
-    speed = w[(row + MOTOR_STAGE + 1) * lanes + at]
-    friction = p[(par + MOTOR_DAMPING) * lanes + at] * speed
-    if form.load_friction:
-        friction += load_friction(form, p, at, lanes, i, speed) * abs(spring)
-    net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
-    w[(row + MOTOR_RATE) * lanes + at] = net_torque * p[(par + PER_MOTOR_INERTIA) * lanes + at]
+            speed = w[(row + MOTOR_STAGE + 1) * lanes + at]
+            friction = p[(par + MOTOR_DAMPING) * lanes + at] * speed
+            if form.load_friction:
+                friction += load_friction(form, p, at, lanes, i, speed) * abs(spring)
+            net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - spring - friction
+            per_inertia = p[(par + PER_MOTOR_INERTIA) * lanes + at]
+            w[(row + MOTOR_RATE) * lanes + at] = net_torque * per_inertia
 
 
 @inline
@@ -97,25 +87,14 @@ def torque_row(form):
 
 
 @inline
-def pulley_row(form, i):
-    """Scratch row of pulley i between its joint spring and its elastic cable."""
-    return FIRST_CABLE + CABLE_ROWS * form.cables + PULLEY_ROWS * i
-
-
-@inline
 def stretch_cables(form, unilateral, p, w, lanes):
-    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of
-    pulleys and motors.
-
-    The joint springs push, too: cables that are slack do not hold their pulleys.
-    """
+    """Tensions of elastic cables, see :func:`textbook.cable_springs`, and the accelerations of their
+    pulleys, which turn with the motors."""
     for i in range(form.cables):
         par = FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * i
         row = FIRST_CABLE + CABLE_ROWS * i
         more = stretch_row(form.cables, form.lopsided) + STRETCH_PARAMETERS * i
         pulley = row + MOTOR_STAGE
-        if form.jointed:
-            pulley = pulley_row(form, i) + PULLEY_STAGE
         for at in range(lanes):
             radius = p[(more + RADIUS) * lanes + at]
             stiffness = p[(more + AXIAL_STIFFNESS) * lanes + at]
@@ -136,18 +115,11 @@ def stretch_cables(form, unilateral, p, w, lanes):
             damping = p[(par + DAMPING_PER_RADIUS2) * lanes + at] * radius * radius * speed
             pulling = radius * (tension + wound) + damping
             per_inertia = p[(more + PER_PULLEY_INERTIA) * lanes + at]
-            if form.jointed:
-                twist = w[(row + MOTOR_STAGE) * lanes + at] - angle
-                spring = p[(par + STIFFNESS) * lanes + at] * twist
-                rate_row = pulley_row(form, i) + PULLEY_RATE
-                w[rate_row * lanes + at] = (spring - pulling) * per_inertia
-                _turn_motor(form, spring, p, w, at, lanes, i)
-            else:
-                net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - pulling
-                if form.load_friction:
-                    share = load_friction(form, p, at, lanes, i, speed)
-                    net_torque -= share * abs(radius * (tension + wound))
-                w[(row + MOTOR_RATE) * lanes + at] = net_torque * per_inertia
+            net_torque = w[(row + MOTOR_TORQUE) * lanes + at] - pulling
+            if form.load_friction:
+                share = load_friction(form, p, at, lanes, i, speed)
+                net_torque -= share * abs(radius * (tension + wound))
+            w[(row + MOTOR_RATE) * lanes + at] = net_torque * per_inertia
 
 
 @inline

@@ -59,8 +59,7 @@ PRODUCTS, CENTER, BODY_PARAMETERS = _starts(3, 3)
 ) = range(9)
 
 # Rows of the record, which persists between calls: state, action, and peaks and flags of the last
-# control period. With joint springs and elastic cables, PULLEY_RECORDS rows for each pulley follow,
-# angle and speed.
+# control period.
 POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = _starts(6, 6, 1, 1)
 (
     DEMAND,
@@ -75,7 +74,6 @@ POSE, VELOCITY, POSITION_PEAK, ROTATION_PEAK, FIRST_CABLE_RECORD = _starts(6, 6,
     LARGEST_TENSION,
     CABLE_RECORDS,
 ) = range(11)
-PULLEY_RECORDS = 2
 
 # Rows of the scratch memory, which is not used between calls. Some serve two kinds of robots. TRIG
 # of a platform in a plane: sine and cosine of φ.
@@ -126,8 +124,6 @@ GRIP = (
 # Forward kinematics: START and SUM have the best pose and the step from there; their last rows
 # serve sums and flags.
 SQUARES, TRIAL, ENDED = range(9, 12)
-# The pulleys between joint springs and elastic cables, after all cables.
-PULLEY_START, PULLEY_SUM, PULLEY_STAGE, PULLEY_RATE, PULLEY_ROWS = _starts(2, 2, 2, 1)
 
 TENSIONS, TORQUES, SPEEDS, PULLEY_ACCELERATIONS = range(4)
 """Order of the results of the inverse dynamics."""
@@ -170,26 +166,6 @@ class Form(NamedTuple):
         """Whether the motors move independently of the platform."""
         return self.jointed or self.elastic
 
-    @property
-    def double(self) -> bool:
-        """Whether there are pulleys between joint springs and elastic cables."""
-        return self.jointed and self.elastic
-
-    @property
-    def robot_text(self) -> str:
-        """The kind of robot in words, without the number of lanes."""
-        point = self.coordinates == self.dimensions
-        body = "point mass" if point else "platform"
-        space = "in space" if self.dimensions == 3 else "in a plane"
-        text = f"{body} {space} on {self.cables} cables"
-        if self.double:
-            return f"{text} with joint springs and elastic cables"
-        if self.jointed:
-            return f"{text} with joint springs"
-        if self.elastic:
-            return f"{text} with elastic cables"
-        return text
-
 
 def body_parameter(cables: int) -> int:
     """Row of the first parameter that only lopsided robots have."""
@@ -202,11 +178,6 @@ def stretch_parameter(cables: int, lopsided: bool) -> int:
     return FIRST_CABLE_PARAMETER + CABLE_PARAMETERS * cables + BODY_PARAMETERS * lopsided
 
 
-def pulley_record(cables: int) -> int:
-    """Row of the angle of the first pulley between a joint spring and an elastic cable."""
-    return FIRST_CABLE_RECORD + CABLE_RECORDS * cables
-
-
 def parameter_rows(form: Form) -> int:
     """Number of parameter rows of a tile."""
     stretch = STRETCH_PARAMETERS * form.cables * form.stretches
@@ -215,15 +186,13 @@ def parameter_rows(form: Form) -> int:
 
 def record_rows(form: Form) -> int:
     """Number of record rows of a tile."""
-    return pulley_record(form.cables) + PULLEY_RECORDS * form.cables * form.double
+    return FIRST_CABLE_RECORD + CABLE_RECORDS * form.cables
 
 
 def scratch_rows(form: Form) -> int:
     """Number of rows of the scratch memory."""
-    pulleys = PULLEY_ROWS * form.cables * form.double
-    return FIRST_CABLE + CABLE_ROWS * form.cables + pulleys
+    return FIRST_CABLE + CABLE_ROWS * form.cables
 
 
 body_row = inline(body_parameter)
 stretch_row = inline(stretch_parameter)
-pulley_record_row = inline(pulley_record)

@@ -5,15 +5,15 @@ a choice::
 
     least_norm       the tensions nearest to reference tensions
     central          tensions away from all bounds, which change smoothly along a motion
-    feasible         whether some tensions within the bounds hold the load, and if not, why
-    largest_scale    the interval of s for which they hold ``w₀ + s w₁``, e.g. the payload
+    largest_scale    the interval of s for which they hold ``w₀ + s w₁``, e.g. the payload; with
+                     w₁ = 0 whether they hold w₀
     unchecked_least_largest_action
                      the tensions whose largest motor action is the least
 
 For example, the least tensions of eight cables on six coordinates, each at least 100 N::
 
     result = least_norm(structure, load, 100.0, 5000.0)
-    result.tensions, result.status == HELD, result.missing
+    result.tensions, result.status == HELD
 
 All arrays broadcast: structure (..., m, n), load (..., n), values of cables (..., m) or one number.
 Bounds may be infinite. With ``m == n`` the tensions are the unique solution.
@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.tensions import central_tensions, nearest_point
 from cablebot_gym.physics.tensions.tension_problems import (
-    solve_feasible,
     solve_interval,
     solve_least_largest,
     solve_least_norm,
@@ -66,33 +65,6 @@ class Distribution:
     """Tensions T within the bounds, shape (..., m) [N]."""
     status: Array
     """:data:`HELD`, :data:`INFEASIBLE` or :data:`SINGULAR`, shape (...)."""
-    missing: Array
-    """Part of the load that the tensions do not hold, ``w + Sᵀ T``, shape (..., n) [N, N·m]; zero
-    if held."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Feasibility:
-    """Whether tensions within the bounds hold a load, with a proof if none do.
-
-    With y the ``direction`` and g the ``coefficients``, all tensions that hold the load satisfy
-    ``g·T = y·w``. The largest ``g·T`` within the bounds is less by ``excess``. At most r + 1 cables
-    have a coefficient. With ``m == n`` it is one: the cable needs ``y·w`` but has ``y·w − excess``.
-    """
-
-    status: Array
-    """:data:`HELD`, :data:`INFEASIBLE` or :data:`SINGULAR`, shape (...)."""
-    excess: Array
-    """Amount by which the load exceeds the bounds along ``direction``, shape (...) [N]; 0 if held.
-
-    If S is singular: the load along ``direction`` [N or N·m], where no cable acts, which may be 0.
-    If a lower bound is above the upper bound: the largest difference, and ``direction`` is 0.
-    """
-    direction: Array
-    """Direction y of the load, shape (..., n): [1, 1/m] so that ``y·w`` is a tension; 0 if held."""
-    coefficients: Array
-    """g = −S y, largest magnitude 1, shape (..., m); 0 if held. A positive one: the upper bound of
-    this cable limits; a negative one: its lower bound."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,8 +79,9 @@ class ScaleInterval:
     status: Array
     """:data:`HELD`, :data:`INFEASIBLE` (the interval is empty) or :data:`SINGULAR`, shape (...)."""
     coefficients: Array
-    """Cables that limit s at the upper end, as in :class:`Feasibility`, shape (..., m). All are 0
-    if only the end of the search does. If the interval is empty: cables that exclude every s."""
+    """Cables that limit s at the upper end, largest magnitude 1, shape (..., m): positive by the
+    upper bound of the cable, negative by its lower bound. All are 0 if only the end of the search
+    limits it. If the interval is empty: cables that exclude every s."""
 
 
 def least_norm(
@@ -117,23 +90,12 @@ def least_norm(
     lower: ArrayLike,
     upper: ArrayLike = np.inf,
     reference: ArrayLike | None = None,
-    *,
-    weights: ArrayLike = 1.0,
 ) -> Distribution:
     """Tensions T that minimise ``Σ (T_i − reference_i)²`` with ``−Sᵀ T = w`` and ``lower ≤ T ≤
     upper``.
 
-    If none hold the load, the tensions within the bounds leave the least wrench error ``Σ
-    (weights_j missing_j)²``, plus a small multiple of the objective above. It makes them unique and
-    changes the wrench by about 1e-6 of the tensions. A lower bound above the upper bound takes
-    precedence.
-
     T is continuous in S, w and the bounds where S has full rank and some tensions strictly within
-    the bounds hold w: it is the projection on a polyhedron that changes continuously there. It is
-    also continuous among infeasible loads, as the solution of a strictly convex problem, but fast
-    where the set of cables between their bounds changes. Where a load becomes infeasible, T changes
-    by about 1e-6 of its size, and more only if the cables between their bounds are nearly
-    dependent.
+    the bounds hold w: it is the projection on a polyhedron that changes continuously there.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
@@ -141,9 +103,7 @@ def least_norm(
         lower: lower bounds, shape (..., m) [N].
         upper: upper bounds, shape (..., m) [N].
         reference: reference tensions, shape (..., m) [N]; None: the lower bounds where finite, else
-            0.
-        weights: weights of the coordinates if the load is infeasible, shape (..., n); > 0. For
-            moments, one over a length [1/m].
+            0. They are the result, within the bounds, where no tensions hold the load.
 
     Raises:
         ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
@@ -151,16 +111,14 @@ def least_norm(
     _check_problem(structure, load, lower, upper)
     shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
     if reference is None:
-        nearest_to = _finite(low)
+        nearest_to = np.where(np.isfinite(low), low, 0.0)
     else:
         all_finite("reference", reference)
         nearest_to = _values(reference, shape, low.shape[1])
-    all_finite("weights", weights)
     tensions = np.empty_like(low)
     status = np.empty(len(low), np.int64)
-    coordinate_weights = _values(weights, shape, loads.shape[1])
-    solve_least_norm(matrices, loads, low, high, nearest_to, coordinate_weights, tensions, status)
-    return _distribution(shape, matrices, loads, tensions, status)
+    solve_least_norm(matrices, loads, low, high, nearest_to, tensions, status)
+    return Distribution(tensions=tensions.reshape(*shape, -1), status=status.reshape(shape))
 
 
 def unchecked_least_largest_action(
@@ -191,8 +149,10 @@ def unchecked_least_largest_action(
     ``t² (1 + ε)``. Away from these changes the largest action is exact. A smaller ε is closer to t*
     and faster at a change.
 
-    If no tensions hold the load, the result is as in :func:`least_norm`, with the tensions at zero
-    action as reference.
+    If no tensions hold the load, the tensions within the bounds leave the least wrench error ``Σ
+    (weights_j e_j)²``, e = w + Sᵀ T, plus a small multiple of their distance from those at zero
+    action, which makes them unique and changes the wrench by about 1e-6 of the tensions. A lower
+    bound above the upper bound takes precedence.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
@@ -202,7 +162,8 @@ def unchecked_least_largest_action(
         offset: action at zero tension, shape (..., m).
         upper: upper bounds, shape (..., m) [N].
         smoothing: ε; at least 1e-9.
-        weights: as in :func:`least_norm`.
+        weights: weights of the coordinates if the load is infeasible, shape (..., n); > 0. For
+            moments, one over a length [1/m].
 
     It is for laws, whose numbers are finite: checks would take a tenth of the time. If S is not
     finite, as in a pose where a cable has no length, the status is :data:`SINGULAR`.
@@ -225,7 +186,7 @@ def unchecked_least_largest_action(
         tensions,
         status,
     )
-    return _distribution(shape, matrices, loads, tensions, status)
+    return Distribution(tensions=tensions.reshape(*shape, -1), status=status.reshape(shape))
 
 
 def unchecked_central(
@@ -268,35 +229,6 @@ def unchecked_central(
     return tensions.reshape(*shape, -1)
 
 
-def feasible(
-    structure: ArrayLike, load: ArrayLike, lower: ArrayLike, upper: ArrayLike = np.inf
-) -> Feasibility:
-    """Whether some tensions within the bounds hold the load, exactly, and a proof if none do.
-
-    Bounds may be exceeded by 1e-10 of the largest tension. The arguments are as in
-    :func:`least_norm`.
-
-    Raises:
-        ValueError: if the shapes do not match, or a number is not finite. A bound may be infinite.
-    """
-    _check_problem(structure, load, lower, upper)
-    shape, matrices, loads, (low, high) = _arrays(structure, load, lower, upper)
-    items, m, n = matrices.shape
-    status = np.zeros(items, np.int64)
-    excess = np.zeros(items)
-    direction = np.zeros((items, n))
-    coefficients = np.zeros((items, m))
-    solve_feasible(
-        matrices, loads, low, high, _finite(low), status, excess, direction, coefficients
-    )
-    return Feasibility(
-        status=status.reshape(shape),
-        excess=excess.reshape(shape),
-        direction=direction.reshape(*shape, n),
-        coefficients=coefficients.reshape(*shape, m),
-    )
-
-
 def largest_scale(
     structure: ArrayLike,
     load: ArrayLike,
@@ -307,6 +239,8 @@ def largest_scale(
 ) -> ScaleInterval:
     """Interval of s in [0, largest] for which tensions within the bounds hold ``w₀ + s w₁``,
     exactly. With w₁ the load of 1 kg, s is the payload or the mass.
+
+    Bounds may be exceeded by 1e-10 of the largest tension.
 
     Args:
         structure: S, shape (..., m, n), m ≥ n.
@@ -340,11 +274,6 @@ def largest_scale(
         status=status.reshape(shape),
         coefficients=coefficients.reshape(*shape, m),
     )
-
-
-def _finite(lower: Array) -> Array:
-    """The default reference: the lower bounds where finite, else 0."""
-    return np.where(np.isfinite(lower), lower, 0.0)
 
 
 def _values(values: ArrayLike, shape: tuple[int, ...], last: int) -> Array:
@@ -387,14 +316,3 @@ def _arrays(
     matrices = _values(matrices, (*shape, m), n).reshape(-1, m, n)
     values_of_cables = [_values(values, shape, m) for values in cables]
     return shape, matrices, _values(vectors, shape, n), values_of_cables
-
-
-def _distribution(
-    shape: tuple[int, ...], structure: Array, load: Array, tensions: Array, status: Array
-) -> Distribution:
-    missing = load + (tensions[:, None, :] @ structure)[:, 0]
-    return Distribution(
-        tensions=tensions.reshape(*shape, tensions.shape[1]),
-        status=status.reshape(shape),
-        missing=missing.reshape(*shape, load.shape[1]),
-    )

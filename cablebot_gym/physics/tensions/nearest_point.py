@@ -322,21 +322,6 @@ def particular_solution(factors, load, u):
 
 
 @helper
-def solve_coordinates(factors, coefficients, direction):
-    """The y with ``matrix y = coefficients``, which are orthogonal to the null space."""
-    matrix, q, order, _, z = factors
-    rows, n = matrix.shape
-    for k in range(n - 1, -1, -1):
-        z[k] = 0.0
-        for i in range(rows):
-            z[k] += q[k, i] * coefficients[i]
-        for j in range(k + 1, n):
-            z[k] -= matrix[k, j] * z[j]
-        z[k] /= matrix[k, k]
-        direction[order[k]] = z[k]
-
-
-@helper
 def set_bounds(problem, factors, u, per_unit, low, high):
     """Constraints ``low ≤ (u + N λ)·per_unit ≤ high``: row i is the lower bound of cable i, row m +
     i the upper."""

@@ -1,7 +1,7 @@
 """Compiled problems of cable tensions, batched: the work of
 :mod:`cablebot_gym.physics.tensions.distribution`.
 
-All four are one problem: the point of a polyhedron ``C x ≥ d`` that is nearest to a given point. A
+All three are one problem: the point of a polyhedron ``C x ≥ d`` that is nearest to a given point. A
 QR factorisation of S gives the tensions that hold the load, ``T = T_p + N λ``, so x has r or r + 1
 components. The dual active-set method of Goldfarb and Idnani finds the point after finitely many
 steps, or a combination of constraints that excludes every point. Bounds count as satisfied within
@@ -30,7 +30,6 @@ from cablebot_gym.physics.tensions.nearest_point import (
     particular_solution,
     project,
     set_bounds,
-    solve_coordinates,
 )
 
 _WRENCH_FIRST = 1e-3  # weight of tensions against a wrench error, see _approximate
@@ -105,15 +104,13 @@ def _within(value, low, high):
 
 
 @entry_point(seconds=distribution_seconds)
-def solve_least_norm(structure, load, lower, upper, reference, weights, tensions, status):
+def solve_least_norm(structure, load, lower, upper, reference, tensions, status):
     """Tensions nearest to the reference, see
     :func:`~cablebot_gym.physics.tensions.distribution.least_norm`."""
     items, m, n = structure.shape
     problem = new_problem(m - n, 2 * m)
     factors = new_factors(m, n)
-    u = np.zeros(m + n)
-    spare = new_problem(m, 2 * m)
-    spare_factors = new_factors(m + n, n)
+    u = np.zeros(m)
     below = np.zeros(m)
     above = np.zeros(m)
     shifted_load = np.zeros(n)
@@ -130,12 +127,12 @@ def solve_least_norm(structure, load, lower, upper, reference, weights, tensions
                 particular_solution(factors, shifted_load, u)
                 set_bounds(problem, factors, u, 1.0, below, above)
                 x[:] = 0.0
-                state, _ = project(problem, TOLERANCE * (1.0 + largest_magnitude(u[:m])))
+                state, _ = project(problem, TOLERANCE * (1.0 + largest_magnitude(u)))
                 for i in range(m):
                     for l in range(m - n):
                         u[i] += normals[i, l] * x[l]
         if state != HELD:
-            _approximate(spare, spare_factors, s, shifted_load, below, above, weights[item], u)
+            u[:] = 0.0
         status[item] = state
         for i in range(m):
             tensions[item, i] = _within(reference[item, i] + u[i], lower[item, i], upper[item, i])
@@ -228,79 +225,6 @@ def _combine(problem, count, m, coefficients):
         for i in range(m):
             coefficients[i] /= scale
     return scale
-
-
-@helper
-def _unreachable(factors, rank, load, direction):
-    """Direction of coordinates on which no cable acts, largest component 1, along which the load is
-    the largest."""
-    matrix, order, z = factors.matrix, factors.order, factors.work
-    n, best = matrix.shape[1], -1.0
-    for free in range(rank, n):
-        z[:n] = 0.0
-        z[free] = 1.0
-        for k in range(rank - 1, -1, -1):
-            for j in range(k + 1, rank):
-                z[k] -= matrix[k, j] * z[j]
-            z[k] = (z[k] - matrix[k, free]) / matrix[k, k]
-        along = 0.0
-        scale = largest_magnitude(z[:n])
-        for k in range(n):
-            along += z[k] * load[order[k]]
-        if abs(along) / scale > best:
-            best = abs(along) / scale
-            for k in range(n):
-                direction[order[k]] = math.copysign(z[k] / scale, z[k] * along)
-    return max(best, 0.0)
-
-
-@entry_point(seconds=distribution_seconds)
-def solve_feasible(
-    structure, load, lower, upper, reference, status, excess, direction, coefficients
-):
-    """Whether tensions hold the load, or a proof, see
-    :func:`~cablebot_gym.physics.tensions.distribution.feasible`."""
-    items, m, n = structure.shape
-    problem = new_problem(m - n, 2 * m)
-    factors = new_factors(m, n)
-    u = np.zeros(m)
-    below = np.zeros(m)
-    above = np.zeros(m)
-    shifted_load = np.zeros(n)
-    limits = problem.limits
-    x = problem.x
-    active = problem.active
-    multipliers = problem.multipliers
-    for item in range(items):
-        if not _start(
-            structure[item],
-            load[item],
-            lower[item],
-            upper[item],
-            reference[item],
-            below,
-            above,
-            shifted_load,
-        ):
-            status[item] = INFEASIBLE
-            for i in range(m):
-                excess[item] = max(excess[item], lower[item, i] - upper[item, i])
-            continue
-        copy_negated(structure[item], factors.matrix)
-        rank = factorise(factors)
-        if rank < n:
-            status[item] = SINGULAR
-            excess[item] = _unreachable(factors, rank, load[item], direction[item])
-            continue
-        particular_solution(factors, shifted_load, u)
-        set_bounds(problem, factors, u, 1.0, below, above)
-        x[:] = 0.0
-        status[item], count = project(problem, TOLERANCE * (1.0 + largest_magnitude(u)))
-        if status[item] == INFEASIBLE:
-            scale = _combine(problem, count + 1, m, coefficients[item])
-            for j in range(count + 1):
-                excess[item] += multipliers[j] * limits[active[j]] / scale
-            solve_coordinates(factors, coefficients[item], direction[item])
 
 
 @helper

@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -136,43 +135,35 @@ def stretched_torque(robot: RobotArrays, torque: Array) -> Array:
     return torque / (1 - relative_strain)
 
 
-def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> tuple[Array, Array]:
-    """Motor angle β′ and pulley angle β of a robot at rest with tensions T (..., m), each (..., m)
-    [rad].
+def rest_angles(robot: RobotArrays, tensions: ArrayLike, pose: ArrayLike) -> Array:
+    """Motor angles β′ of a robot at rest with tensions T (..., m), (..., m) [rad].
 
-    Elastic cables have the free length l = (q + extra_length)/(1 + T/EA). Without joint springs
-    both angles are equal.
+    Elastic cables have the free length l = (q + extra_length)/(1 + T/EA).
     """
     tensions = as_numbers(tensions)
-    pulley = pulley_angle(robot, pose)
-    torque = robot.pulley_radius * tensions
+    angle = pulley_angle(robot, pose)
     if robot.elastic:
         strain = tensions / robot.axial_stiffness
         length = cable_lengths(robot, pose) + robot.extra_length
         stretch = length * strain / (1 + strain)
-        pulley = pulley + stretch / robot.pulley_radius
-        torque = holding_torque(robot, torque)
+        return angle + stretch / robot.pulley_radius
     if robot.jointed:
-        return pulley + torque / robot.stiffness, pulley
-    return pulley, pulley
+        return angle + robot.pulley_radius * tensions / robot.stiffness
+    return angle
 
 
 def static_motor_angle(robot: RobotArrays, mass: ArrayLike, pose: ArrayLike) -> Array:
     """Motor angle β′ of a flexible robot at rest [rad], shape (..., m), see :func:`rest_angles`."""
     tensions = static_torque(robot, mass, pose) / robot.pulley_radius
-    motor_angle, _ = rest_angles(robot, tensions, pose)
-    return motor_angle
+    return rest_angles(robot, tensions, pose)
 
 
 def joint_stiffness(robot: RobotArrays, pose: ArrayLike) -> Array:
-    """Stiffness at the pulleys between motor and platform, of joint spring and cable in series,
-    (..., m) [N·m/rad]."""
+    """Stiffness at the pulleys between motor and platform, (..., m) [N·m/rad]."""
     if not robot.elastic:
         return robot.stiffness
     length = cable_lengths(robot, pose) + robot.extra_length
     cable: Array = robot.pulley_radius**2 * robot.axial_stiffness / length
-    if robot.jointed:
-        return 1 / (1 / cable + 1 / robot.stiffness)
     return cable
 
 
@@ -180,34 +171,22 @@ def joint_equivalent(robot: Robot) -> Robot:
     """The robot with joint springs in place of its elastic cables, for control laws; itself if they
     do not stretch.
 
-    The springs have the stiffness at the home pose. Without joint springs the pulley becomes the
-    motor; otherwise it stays on the side of the stiffer spring. The damping of the cables is left
-    out.
+    The springs have the stiffness at the home pose, and the pulley becomes the motor. The damping of
+    the cables is left out.
     """
     if not robot.elastic:
         return robot
-    stiffness = joint_stiffness(robot, robot.home)
-    rigid = {
-        "axial_stiffness": None,
-        "axial_damping": 0.0,
-        "extra_length": 0.0,
-        "stiffness": stiffness,
-    }
-    sides: dict[str, Any] = {
-        "motor_inertia": robot.pulley_inertia,
-        "motor_damping": robot.damping,
-        "pulley_inertia": 0.0,
-        "damping": 0.0,
-    }
-    if robot.jointed:
-        at_motor = robot.stiffness > 2 * stiffness  # the cable is the softer spring
-        sides = {
-            "motor_inertia": robot.motor_inertia + np.where(at_motor, robot.pulley_inertia, 0.0),
-            "motor_damping": robot.motor_damping + np.where(at_motor, robot.damping, 0.0),
-            "pulley_inertia": np.where(at_motor, 0.0, robot.pulley_inertia),
-            "damping": np.where(at_motor, 0.0, robot.damping),
-        }
-    return robot.replace(transmission=robot.transmission.replace(**rigid, **sides))
+    transmission = robot.transmission.replace(
+        axial_stiffness=None,
+        axial_damping=0.0,
+        extra_length=0.0,
+        stiffness=joint_stiffness(robot, robot.home),
+        motor_inertia=robot.pulley_inertia,
+        motor_damping=robot.damping,
+        pulley_inertia=0.0,
+        damping=0.0,
+    )
+    return robot.replace(transmission=transmission)
 
 
 def cable_springs(
@@ -254,28 +233,6 @@ def cable_springs(
     return tension, radius * tension + wound
 
 
-@lru_cache(maxsize=16)
-def cable_equivalent(robot: Robot) -> Robot:
-    """The robot with longer elastic cables in place of joint springs in series with them; itself
-    without both.
-
-    A cable of the length EA r²/K has the stiffness of the joint spring. The pulley turns with the
-    motor.
-    """
-    if not (robot.elastic and robot.jointed):
-        return robot
-    spring_length = robot.axial_stiffness * robot.pulley_radius**2 / robot.stiffness
-    transmission = robot.transmission.replace(
-        stiffness=None,
-        extra_length=robot.extra_length + spring_length,
-        pulley_inertia=robot.pulley_inertia + robot.motor_inertia,
-        damping=robot.damping + robot.motor_damping,
-        motor_inertia=None,
-        motor_damping=0.0,
-    )
-    return robot.replace(transmission=transmission)
-
-
 def spring_drive(
     robot: RobotArrays,
     pose: ArrayLike,
@@ -287,7 +244,7 @@ def spring_drive(
     """Motor torques of a flexible robot [N·m] and forces of its springs without damping [N], each
     (..., m).
 
-    The springs are joint springs or elastic cables, not both. They also push.
+    The springs also push.
 
     Args:
         robot: flexible robot.

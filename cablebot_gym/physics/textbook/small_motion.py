@@ -32,8 +32,7 @@ from cablebot_gym.utils.checks import number, numbers
 class LinearModel:
     """Matrices of ``M ẍ + C ẋ + K x = 0`` about a pose with taut cables.
 
-    x = (X, β, β′), without β if the cables do not stretch and without β′ if there are no joint
-    springs.
+    x = (X, β′), and X alone of a rigid robot. Pulleys of elastic cables turn with the motors.
     """
 
     inertia: Array
@@ -75,7 +74,7 @@ def linear_model(
     n = robot.coordinates
     batch = structure.shape[:-2]
     identity = np.eye(m)
-    size = n + m * (robot.elastic + robot.jointed)
+    size = n + m * robot.flexible
     inertia = np.zeros((*batch, size, size))
     damping = np.zeros_like(inertia)
     stiffness = np.zeros_like(inertia)
@@ -101,7 +100,7 @@ def linear_model(
         pulley = (n, identity)
     motor = pulley
     if robot.jointed:
-        motor = (size - m, identity)
+        motor = (n, identity)
     add(inertia, robot.pulley_inertia, pulley)
     add(damping, robot.damping, pulley)
     load_torque = robot.stall_torque
@@ -261,8 +260,7 @@ def locked_modes(
         tensions: T that hold the mass at rest, shape (m,) [N], or None as in :func:`linear_model`.
 
     Returns:
-        Frequencies (k,) [Hz], 0 for a mode without a restoring force, and shapes (n, k), or (n + m,
-        k) with both joint springs and elastic cables.
+        Frequencies (k,) [Hz], 0 for a mode without a restoring force, and shapes (n, k).
     """
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     moving = len(model.inertia)
@@ -285,7 +283,7 @@ def free_modes(
     """Modes of a flexible robot with constant motor torques, without the n modes in which no spring
     is deflected.
 
-    The arguments and results are as in :func:`locked_modes`; the shapes have the rows X, β, β′.
+    The arguments and results are as in :func:`locked_modes`; the shapes have the rows X, β′.
     """
     model = linear_model(robot, mass=mass, pose=pose, tensions=tensions)
     squares, shapes = eigh(model.stiffness, model.inertia)

@@ -374,9 +374,9 @@ def estimated_pose(robot: Robot, angle: Array, load: Array, guess: Array) -> Arr
     """
     if robot.flexible:
         tensions = load / robot.pulley_radius
-        angle = angle - textbook.rest_angles(robot, tensions, guess)[0]
+        angle = angle - textbook.rest_angles(robot, tensions, guess)
         angle = angle + textbook.pulley_angle(robot, guess)
     lengths = textbook.cable_lengths(robot, robot.home) - robot.pulley_radius * angle
     # Lengths of redundant cables never fit exactly, and then the last digits may not converge. A pose
     # that is wrong violates a limit.
-    return forward_kinematics(robot, lengths, guess).pose
+    return forward_kinematics(robot, lengths, guess)

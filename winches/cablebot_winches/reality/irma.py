@@ -18,11 +18,11 @@ from zipfile import ZipFile
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.physics.hanging import home_at_rest
-from cablebot_gym.physics.textbook import locked_modes
+from cablebot_gym.physics import textbook
 from cablebot_gym.robots import Motors, Robot, Transmission
 from cablebot_gym.utils.palette import BLUE, GREEN, GREY, VERMILLION
 from cablebot_winches.reality.comparison import LogComparison, Validation
@@ -80,8 +80,7 @@ def validate(logs: Mapping[str, bytes]) -> Validation:
         published = _cells(logs[f"{folder}/data_nat_f_{cables}.mat"], "data_nat_f")
         for index in experiments:
             robot = hanging_robot(geometry, poses[index])
-            rest = home_at_rest(robot, robot.mass, robot.minimum_tension)
-            model, _ = locked_modes(robot, robot.mass, rest.pose, rest.tensions)
+            model, _ = textbook.locked_modes(robot, robot.mass, *at_rest(robot))
             swing = Swing(
                 cables=cables,
                 measured=np.array(measured[index][: len(model)]),
@@ -142,6 +141,43 @@ def hanging_robot(geometry: Mapping[str, Any], pose: Array) -> Robot:
             "transmission": _TRANSMISSION,
         }
     )
+
+
+def at_rest(robot: Robot) -> tuple[Array, Array]:
+    """Pose X (n,) and tensions T (m,) [N] at rest, ``h(X) + Sᵀ T = 0``, of a platform that hangs on
+    cables with the lengths of the home pose.
+
+    Raises:
+        ValueError: if it does not hang on taut cables near home.
+    """
+    n = robot.coordinates
+    lengths = textbook.cable_lengths(robot, robot.home)
+    still = np.zeros(n)
+    weight = robot.mass * robot.gravity
+
+    def errors(unknowns: Array) -> Array:
+        """Unbalanced forces over the weight, and errors of the lengths; T is over the weight."""
+        pose, tensions = np.split(unknowns, [n])
+        forces = textbook.bias(robot, robot.mass, pose, still) / weight
+        forces = forces + textbook.jacobian(robot, pose).T @ tensions
+        return np.concatenate([forces, textbook.cable_lengths(robot, pose) - lengths])
+
+    def slopes(unknowns: Array) -> Array:
+        pose, tensions = np.split(unknowns, [n])
+        structure = textbook.jacobian(robot, pose)
+        stiffness = textbook.weight_stiffness(robot, robot.mass, pose) / weight
+        stiffness += textbook.tension_stiffness(robot, pose, tensions)
+        no_lengths = np.zeros((robot.cables, robot.cables))
+        return np.block([[stiffness, structure.T], [structure, no_lengths]])
+
+    forces = textbook.bias(robot, robot.mass, robot.home, still) / weight
+    to_forces = -textbook.jacobian(robot, robot.home).T
+    near_rest = np.append(robot.home, np.linalg.lstsq(to_forces, forces, rcond=None)[0])
+    solution = root(errors, near_rest, jac=slopes, options={"xtol": 1e-13}).x
+    pose, tensions = np.split(solution, [n])
+    if not np.max(np.abs(errors(solution))) < 1e-9 or tensions.min() <= 0:
+        raise ValueError(f"{robot.name}: the platform does not hang on taut cables near its pose")
+    return pose, weight * tensions
 
 
 def read_table(workbook: bytes) -> list[list[float]]:

@@ -33,7 +33,7 @@ def slow_log(robot, seed, payload, *, still=False):
     tensions = textbook.required_tensions(
         robot, mass, pose, velocity, acceleration, minimum=pretension
     )
-    angle, _ = textbook.rest_angles(robot, tensions, pose)
+    angle = textbook.rest_angles(robot, tensions, pose)
     angle = angle + OFFSET / robot.pulley_radius
     signals = {"angle": (angle, 1e-4), "tension": (tensions, 0.1)}
     return noisy_log(robot, time, pose, signals, rng, payload=payload)

@@ -58,7 +58,7 @@ def log_of_torques(true, seed, pretension):
     rng = np.random.default_rng(seed)
     time, *motion = smooth_motion(true, rng)
     tensions = textbook.required_tensions(true, true.mass, *motion, minimum=pretension)
-    angle, _ = textbook.rest_angles(true, tensions, motion[0])
+    angle = textbook.rest_angles(true, tensions, motion[0])
     speed = np.gradient(angle, time, axis=0)
     load = textbook.holding_torque(true, true.pulley_radius * tensions)
     torque = load + true.pulley_inertia * np.gradient(speed, time, axis=0)

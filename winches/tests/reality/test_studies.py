@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose
 from reality.synthetic import csv_text, sagging
 from scipy.spatial.transform import Rotation
 
-from cablebot_gym.physics.hanging import home_at_rest
 from cablebot_gym.physics.textbook import cable_lengths, locked_modes
 from cablebot_gym.robots import find_robot
 from cablebot_winches.reality import gch_klaus, innopolis, irma, ttk4900
@@ -276,8 +275,7 @@ def test_frequencies_do_not_depend_on_the_frame():
     for angles in ([0.0, 0.0, 0.0], [0.3, -0.2, 0.4]):
         turn = Rotation.from_euler("XYZ", angles).as_matrix()
         robot = irma.hanging_robot(*bifilar(turn))
-        rest = home_at_rest(robot, robot.mass, 0.0)
-        modes, _ = locked_modes(robot, robot.mass, rest.pose, rest.tensions)
+        modes, _ = locked_modes(robot, robot.mass, *irma.at_rest(robot))
         frequencies.append(modes)
     level, inclined = frequencies
     assert_allclose(level, inclined, rtol=1e-9)
