@@ -12,7 +12,7 @@ import numpy as np
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.measurement import POSE, Measurement
-from cablebot_gym.motions import BetweenDwells, Reference, Trajectory
+from cablebot_gym.motions import BetweenDwells, Reference, Trajectory, Waypoints
 from cablebot_gym.robots import COORDINATE_NAMES, Cable, Robot
 from cablebot_gym.robots.record import vertical_remedy
 from cablebot_gym.utils.checks import mapping, number, record
@@ -241,6 +241,45 @@ def _remedy(robot: Robot, channel: int, values: Array) -> str:
     if is_vertical and low <= -values.max() and -values.min() <= high:
         return vertical_remedy(robot)
     return "change the motion or the workspace"
+
+
+def motion_questions(robot: Robot, trajectory: Trajectory) -> list[str]:
+    """Questions about a motion that can be followed, but may not be the one that was meant: it
+    starts far from the home pose, with the opposite sign of the vertical coordinate, or leaves the
+    straight lines between its waypoints.
+
+    Args:
+        robot: nominal robot.
+        trajectory: the motion.
+    """
+    d = robot.dimensions
+    label = f"trajectory {trajectory.name!r}"
+    questions = []
+    home = robot.home[:d]
+    start = trajectory(0.0).position[:d]
+    distance = np.linalg.norm(start - home)
+    size = np.linalg.norm(np.ptp(robot.pose_bounds[:, :d], axis=0))
+    is_mirrored = 2 * abs(start[-1] + home[-1]) < abs(start[-1] - home[-1]) > size / 10
+    doubt = ""
+    if is_mirrored and not robot.weightless:
+        doubt = f"is it mirrored? {vertical_remedy(robot)}"
+    elif distance > size / 2:
+        doubt = f"is it in the base frame of {robot.name!r}?"
+    if doubt:
+        questions.append(f"{label} starts {distance:.3g} m from home_pose: {doubt}")
+    motion = getattr(trajectory, "motion", trajectory)
+    if isinstance(motion, Waypoints):
+        farthest, time, length = motion.deviation(d)
+        if farthest > length / 10:
+            remedy = "shorten the blends"
+            if not motion.blend:
+                blend = f"{np.diff(motion.times).min() / 2:.2g}"
+                remedy = f'for straight lines, give it "blend": {blend}, a duration in s'
+            questions.append(
+                f"{label} leaves the lines between its waypoints by {1e3 * farthest:.4g} mm, {time:.2f} s after its "
+                f"start, where they are {1e3 * length:.4g} mm long: is this meant? If not, {remedy}"
+            )
+    return questions
 
 
 def payload_model_text(payload_known: bool, factor: float = 1.0) -> str:

@@ -33,7 +33,12 @@ from cablebot_gym.physics.tensions.distribution import HELD, SINGULAR, least_nor
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import COORDINATE_NAMES, Robot
 from cablebot_gym.robots.ranges import with_values
-from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds
+from cablebot_gym.task import (
+    ErrorBounds,
+    check_workspace,
+    find_error_bounds,
+    motion_questions,
+)
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.results import Printed
 
@@ -160,7 +165,8 @@ class MotionCheck(Printed):
     cables: tuple[CableSag, ...]
     """Sag of each cable; empty if the cables have no mass or the motion cannot be held."""
     questions: tuple[str, ...]
-    """Pairs of cables that come close, each with a remedy."""
+    """What may be meant otherwise: see :func:`~cablebot_gym.task.motion_questions`, and pairs of
+    cables that come close. Each has a remedy."""
 
     def __str__(self) -> str:
         low, high = self.limit.least, self.limit.largest
@@ -251,7 +257,7 @@ def check_motion(
         payload_range=payload_range(robot, reference),
         ceiling=payload_ceiling(robot, motion, bounds),
         cables=_sag(robot, reference, payload),
-        questions=tuple(_close_cables(robot, times, reference)),
+        questions=(*motion_questions(robot, motion), *_close_cables(robot, times, reference)),
     )
 
 

@@ -359,7 +359,7 @@ def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
         if robot.coordinates > d:
             peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
         texts.append(f"largest {name} {peak}")
-    farthest, time = motion.deviation(d)
+    farthest, time, _ = motion.deviation(d)
     texts.append(f"at most {1e3 * farthest:.4g} mm from the lines between them, after {time:.2f} s")
     say("; ".join(texts))
 

@@ -26,6 +26,7 @@ from cablebot_gym.task import (
     ErrorBounds,
     check_workspace,
     find_error_bounds,
+    motion_questions,
 )
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 from cablebot_gym.utils.checks import (
@@ -439,7 +440,7 @@ def make_settings(*, robot: str | dict[str, Any] | Robot, count: int, **keywords
         values["trajectory"] = default_trajectory(robot)
     scope = Scope(robot, count)
     checked = {name: KEYWORDS[name].check(name, value, scope) for name, value in values.items()}
-    check_workspace(robot, checked["trajectory"], checked["error_bounds"])
+    _check_motion(robot, checked["trajectory"], checked["error_bounds"])
     if checked["cable"] == "bilateral" and np.any(robot.load_friction):
         raise ValueError(
             "cable='bilateral': load_friction is for cables that only pull. Omit cable, or set load_friction to 0"
@@ -489,8 +490,15 @@ def check_options(options: Mapping[str, Any] | None, robot: Robot, count: int) -
             checked[name] = RESET_OPTIONS[name](name, value, scope)
     if "trajectory" in checked:
         bounds = checked.get("error_bounds") or find_error_bounds(None, robot)
-        check_workspace(robot, checked["trajectory"], bounds)
+        _check_motion(robot, checked["trajectory"], bounds)
     return checked
+
+
+def _check_motion(robot: Robot, motion: Trajectory, bounds: ErrorBounds) -> None:
+    """Refuses a motion out of the workspace, and warns of one that may be meant otherwise."""
+    check_workspace(robot, motion, bounds)
+    for question in motion_questions(robot, motion):
+        logger.warn(question)
 
 
 def fewest_substeps(

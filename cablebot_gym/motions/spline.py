@@ -87,9 +87,9 @@ class Waypoints(Motion):
         shape (k,) [s]."""
         return self.blend / 2 + np.array(self.times) * (1 - self.blend / self.duration)
 
-    def deviation(self, dimensions: int) -> tuple[float, float]:
-        """Largest distance of the position from the straight lines between the waypoints [m], and
-        its time [s].
+    def deviation(self, dimensions: int) -> tuple[float, float, float]:
+        """Largest distance of the position from the straight lines between the waypoints [m], its
+        time [s], and the length of the longest of the three lines around it [m].
 
         Args:
             dimensions: number of coordinates of a position: 2 in a plane, 3 in space.
@@ -102,7 +102,9 @@ class Waypoints(Motion):
         # A point is a segment of length 0.
         distance = segment_distance(position, position, corners[index], corners[index + 1])
         worst = np.argmax(distance)
-        return float(distance[worst]), float(times[worst])
+        near = corners[max(0, index[worst] - 1) : index[worst] + 3]
+        length = np.linalg.norm(np.diff(near, axis=0), axis=1).max()
+        return float(distance[worst]), float(times[worst]), float(length)
 
     @cached_property
     def _curve(self) -> Any:
