@@ -33,11 +33,9 @@ COMMANDS = {
         "compare": "cablebot_gym.cli.compare:compare",
         "best-known": "cablebot_gym.cli.best_known:best_known",
     },
-    "Record and show episodes": {
+    "Record episodes": {
         "rollout": "cablebot_gym.cli.rollout:rollout",
-        "watch": "cablebot_gym.cli.watch:watch",
         "video": "cablebot_gym.cli.video:video",
-        "picture": "cablebot_gym.cli.picture:picture",
     },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
@@ -47,7 +45,6 @@ COMMANDS = {
         "list": "cablebot_gym.cli.listing:list_",
         "robot check": "cablebot_gym.cli.robot:check",
         "robot export": "cablebot_gym.cli.exporting:export",
-        "doctor": "cablebot_gym.cli.doctor:doctor",
     },
 }
 """Built-in commands by group. The module of a command is imported when the command is run."""
@@ -104,8 +101,7 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a row of the benchmark failed, a best known payload was not verified,\n"
-        "       doctor found a fault, or a robot was refused or does not carry its\n"
-        "       payload\n"
+        "       or a robot was refused or does not carry its payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

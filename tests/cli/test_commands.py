@@ -92,10 +92,14 @@ ERRORS = (
     (ROLLOUT + "run", 2, "must end in .npz or .csv or .png"),
     (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
     (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
-    (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif"),
-    (f"picture {PLANAR} a.gif {POLICY}", 2, "has to end in .png or .jpg or .webp"),
-    ("picture a.png", 2, "or a robot with --robot, and then a file"),
-    (f"picture {PLANAR} a.png {POLICY} --time 9", 2, "--time must be at most 1.6 s"),
+    (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif or .png"),
+    (f"video {PLANAR} a.gif {POLICY} --time 1", 2, "--time is for a picture: name a .png file"),
+    (f"video a.png {POLICY}", 2, "or a robot with --robot, and then a file"),
+    (
+        f"video {PLANAR} a.png {POLICY} --time 9",
+        2,
+        "--time must be a finite number at least 0 and at most 1.6 s",
+    ),
     (
         "benchmark --suite huge",
         2,

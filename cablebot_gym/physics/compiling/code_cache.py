@@ -101,7 +101,7 @@ class CodeCache(_Cache):
                 f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}"
             )
             return
-        if is_temporary(path.parent):
+        if path.parent == _temporary_folder():
             _say_once(
                 f"compiled code is stored in {path.parent}, because no cache folder is writable: {REMEDY}"
             )
@@ -171,21 +171,6 @@ def _make_private(folder: Path) -> bool:
     return (
         stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     )
-
-
-def is_temporary(folder: Path) -> bool:
-    """Whether compiled code is in a folder for temporary files, because no other folder is
-    writable."""
-    return folder == _temporary_folder()
-
-
-def is_damaged(path: Path) -> bool:
-    """Whether a file of compiled code is not as it was written."""
-    try:
-        _checked(path.read_bytes())
-    except ValueError:
-        return True
-    return False
 
 
 def _checked(data: bytes) -> bytes:
