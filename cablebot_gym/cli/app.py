@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
@@ -20,7 +22,6 @@ from typer.core import TyperGroup
 
 from cablebot_gym.cli.records import GroupedOptions, with_options
 from cablebot_gym.utils.console import say
-from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
 COMMAND_GROUP = "cablebot_gym.commands"
@@ -168,18 +169,11 @@ def _points_of(typed: str) -> Mapping[str, EntryPoint]:
 
 def main() -> None:
     """Runs the command line. Converts errors to a message of one line and an exit status."""
-    protect_streams()
-    try:
-        _run()
-    except SystemExit as ended:
-        if (problem := output_problem()) and not ended.code:
-            _fail(f"cannot write to standard output: {problem}. The lines above are the output.", 1)
-        raise
-
-
-def _run() -> None:
     from cablebot_gym.policies import PolicyError
 
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # not in a notebook
+            stream.reconfigure(errors="backslashreplace")
     # the last collection of the process would take 0.2 s and free nothing that matters
     atexit.register(gc.freeze)
     # package.module:factory of the working directory; last, so that no file there hides a package
@@ -192,11 +186,15 @@ def _run() -> None:
         status = app(standalone_mode=False)
         if status == INTERRUPTED:
             raise KeyboardInterrupt
+        sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except KeyboardInterrupt:
         _fail("interrupted. No file was left incomplete.", INTERRUPTED)
     except (ValueError, ImportError) as error:
         _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
+    except BrokenPipeError:  # the reader wants no more, as in `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except OSError as error:
         message = str(error)
         if error.filename is not None:

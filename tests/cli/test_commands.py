@@ -166,6 +166,23 @@ def is_alive(group):
 
 
 @pytest.mark.landing
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+@pytest.mark.parametrize(("reader", "printed"), [("cat", r"\u2013"), ("true", "")])
+def test_output_without_reader_or_unicode_is_no_error(reader, printed):
+    """The reader ``true`` ends before the command writes."""
+    command = f"{shlex.quote(sys.executable)} -m cablebot_gym.cli.app list | {reader}"
+    ended = subprocess.run(
+        command,
+        shell=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert ended.stderr == ""
+    assert printed in ended.stdout
+
+
+@pytest.mark.landing
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupt_keeps_results_and_leaves_no_process(tmp_path):
     typed = ("benchmark", "--policies", "fl", "--workers", "2", "--out", str(tmp_path))

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-from cablebot_gym.utils.console import PREPARATION
-
 
 @contextmanager
 def collection_paused() -> Iterator[None]:
@@ -28,7 +26,7 @@ def collection_paused() -> Iterator[None]:
 
 with collection_paused():
     import numba
-    from numba.core import event, registry
+    from numba.core import registry
 
     from cablebot_gym.physics.compiling.code_cache import CodeCache
 
@@ -93,16 +91,3 @@ class _Announcements:
 
 
 _ANNOUNCEMENTS = _Announcements()
-
-
-class _Preparation(event.Listener):
-    """Counts compilation as a preparation, which estimates of the time left exclude."""
-
-    def on_start(self, event: event.Event) -> None:
-        PREPARATION.start()
-
-    def on_end(self, event: event.Event) -> None:
-        PREPARATION.end()
-
-
-event.register("numba:compile", _Preparation())
