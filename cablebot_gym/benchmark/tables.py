@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.rows import Row, canonical
+from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
+from cablebot_gym.robots import KIND_TEXTS, find_robot
 
 
 def heading(column: Conditions) -> str:
@@ -126,24 +123,6 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
             row.append(timing_text(timings.get(policy)))
         rows.append(row)
     return rows
-
-
-def limiting_violation(score: scores.Score) -> dict[str, Any] | None:
-    """The violation beyond the payload of a score: fields of
-    :class:`~cablebot_gym.evaluation.judge.Violation`, and the ``fraction`` of the motion with
-    its dwells at which the limit broke. None without a violation."""
-    violation: dict[str, Any] | None = score.result.get("violation")
-    if violation is None:
-        return None
-    trajectory = canonical(score.conditions.trajectory)
-    duration = _duration(trajectory, score.conditions.nominal_robot.kind)
-    return violation | {"fraction": violation["time"] / duration}
-
-
-@cache
-def _duration(trajectory: str, kind: Kind) -> float:
-    """Duration of a motion with its dwells [s]. All policies have the same motions."""
-    return find_trajectory(json.loads(trajectory), kind).duration
 
 
 def error_title(table: scores.ErrorTable) -> str:

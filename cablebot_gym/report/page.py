@@ -19,11 +19,9 @@ from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import (
     best_known_text,
-    error_title,
     failures,
     fallbacks,
     heading,
-    limiting_violation,
     motion_title,
     task_title,
 )
@@ -32,9 +30,8 @@ from cablebot_gym.evaluation.judge import LIMIT_NAMES, Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.rendering.projection import points_in_space, view_direction
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
-from cablebot_gym.report.violations import violation_strips
 
-SCRIPTS = ("charts.js", "limits.js", "table.js", "scene.js", "page.js")
+SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
 
 BEST_KNOWN = "best known payload"
@@ -106,12 +103,9 @@ def page_data(
             rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
-        "start": _start(rows, cells.cells),
         "cells": cells.cells,
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
-        "limits": _limits(boards),
-        "errors": _errors(merged),
         "notes": _notes(sources, merged),
         "rate": RATE,
         "levels": LEVELS,
@@ -172,32 +166,6 @@ def _index(values: dict[str, dict[str, Any]], value: dict[str, Any]) -> int:
     return list(values).index(key)
 
 
-def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]]) -> int:
-    """Index of the row that the page opens: the largest payload of a policy on the circle of the
-    first table that has it.
-
-    A row without an episode is opened only if none of these rows has one.
-    """
-
-    def rank(index: int) -> tuple[bool, float]:
-        row = rows[index]
-        payload = row["payload"]
-        if payload is None:
-            payload = -1.0
-        return cells[row["cells"][0]]["replays"] is not None, payload
-
-    if not rows:
-        return 0
-    circles = [row for row in rows if row["motion"] == "circle"]
-    first = [*circles, rows[0]][0]
-    same = ("id", "motion", "condition")
-    shown = []
-    for index, row in enumerate(rows):
-        if row["policy"] != BEST_KNOWN and all(row[name] == first[name] for name in same):
-            shown.append(index)
-    return max(shown, key=rank)
-
-
 def _row(
     board: scores.Leaderboard, policy: str, column: Conditions, indices: Mapping[str, int]
 ) -> dict[str, Any]:
@@ -225,7 +193,6 @@ def _row(
         "payload": payload,
         "fraction": mean,
         "interval": interval,
-        "note": _note(entry),
         "violation": _violation_text(entry),
         "cells": [indices[score.row.key] for score in entry if score.row.key in indices],
     }
@@ -275,22 +242,6 @@ def _conditions(board: scores.Leaderboard, policy: str, column: Conditions) -> d
         "condition": heading(column).removesuffix(" [kg]"),
         "violation": "",
     }
-
-
-def _note(entry: Sequence[scores.Score]) -> str:
-    """Reason for a missing fraction; empty if there is a fraction or if another column states the
-    reason."""
-    if not all(score.applicable for score in entry):
-        return "does not declare unsaturated_actions"
-    given = entry[0].conditions
-    if given.criterion != "task" or given.uncertainty:
-        return ""
-    for score in entry:
-        if score.row.error is not None:
-            return ""
-    if all(score.best_known is not None for score in entry):
-        return ""
-    return "no best known payload"
 
 
 def _violation_text(entry: Sequence[scores.Score]) -> str:
@@ -392,41 +343,6 @@ def _motion(conditions: Conditions) -> dict[str, Any]:
         "bound": conditions.bounds.position,
         "rotation": conditions.bounds.rotation,
     }
-
-
-def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
-    """The violations of each policy over all robots and motions under the task criterion."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for board in boards:
-        for (policy, column), entry in board.entries.items():
-            violations = filter(None, map(limiting_violation, entry))
-            if column.criterion == "task":
-                groups.setdefault(policy, []).extend(violations)
-    limits = []
-    for policy, group in groups.items():
-        if group:
-            limits.append({"policy": policy, "strips": violation_strips(group)})
-    return limits
-
-
-def _errors(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """For each error table and policy: payloads with each error alone, 0 if it fails unloaded."""
-    figures = []
-    for table in scores.error_tables(rows):
-        for policy, entries in table.policies.items():
-            bars = []
-            for error, score in zip(table.errors, entries, strict=True):
-                if score is not None and score.row.error is None:
-                    name = error.replace("_", " ")
-                    bars.append(
-                        {
-                            "error": name,
-                            "payload": score.payload or 0.0,
-                            "text": score.payload_text,
-                        }
-                    )
-            figures.append({"title": f"{policy}, {error_title(table)}", "bars": bars})
-    return figures
 
 
 def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, Any]]:
