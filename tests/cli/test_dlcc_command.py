@@ -113,14 +113,13 @@ def test_wrapper_reaches_the_policy(cablebot, tmp_path):
 def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot(ONE, "--out", folder)
-    assert names(folder) == ["path-task.png", "result.json", "torques-task.png"]
+    assert names(folder) == ["result-task.png", "result.json"]
     assert (folder / "result.json").read_text() == ended.out
-    for name in ("path-task.png", "torques-task.png"):
-        assert name in ended.err
+    assert "result-task.png" in ended.err
 
 
 def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch):
-    figure_path = tmp_path / "path-task.png"
+    figure_path = tmp_path / "result-task.png"
     figure_path.write_text("old")
 
     def interrupt(figure, path, **_):
