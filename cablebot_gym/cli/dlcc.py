@@ -119,15 +119,15 @@ def _folder(out: Path | None, name: str, names: list[str]) -> Path | None:
     return out / name
 
 
-def _criteria(policy: LoadedPolicy, search: SearchOptions) -> tuple[list[str], list[str]]:
-    """The criteria to evaluate, and those in ``both`` that do not apply to the policy."""
+def _criteria(policy: LoadedPolicy, search: SearchOptions) -> list[str]:
+    """The criteria to evaluate: of ``both``, those that apply to the policy."""
     from cablebot_gym.evaluation.judge import CRITERIA
 
     if search.criterion is not CriterionChoice.both:
-        return [search.criterion.value], []
+        return [search.criterion.value]
     if not policy.declarations.unsaturated_actions:
-        return ["task"], ["paper"]
-    return list(CRITERIA), []
+        return ["task"]
+    return list(CRITERIA)
 
 
 def _results(
@@ -137,7 +137,7 @@ def _results(
 
     settings = asdict(search) | {"search": search.search.value}
     results = []
-    for criterion in _criteria(policy, search)[0]:
+    for criterion in _criteria(policy, search):
         settings["criterion"] = criterion
         results.append(
             evaluate_dlcc(policy, env_id, progress=True, **settings, **conditions.keywords())
@@ -162,7 +162,7 @@ def _print_results(
     conditions: options.ConditionOptions,
     search: SearchOptions,
 ) -> None:
-    print_payloads(results, _criteria(policy, search)[1])
+    print_payloads(results, search)
     for result in results:
         if result.details.violation_seed is not None and not result.details.stochastic:
             command = options.command_again(
@@ -177,19 +177,13 @@ def _print_results(
             print(f"{result.criterion}: this command repeats the failure:\n  {command}")
 
 
-def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
-    """Prints a table of the evaluations of one policy.
-
-    Args:
-        results: one evaluation for each criterion; at least one.
-        inapplicable: names of the criteria that do not apply to the policy.
-    """
-
+def print_payloads(results: list[DLCCResult], search: SearchOptions) -> None:
+    """Prints a table of the evaluations of one policy, one for each criterion that applies to it."""
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     rows += [_row(result) for result in results]
-    for criterion in inapplicable:
+    if search.criterion is CriterionChoice.both and len(results) == 1:
         reason = "not applicable: the policy does not declare unsaturated_actions"
-        rows.append([criterion, "n/a", "–", reason, "–"])
+        rows.append(["paper", "n/a", "–", reason, "–"])
     motion = results[0].details.environment["trajectory"].get("name", "")
     print_table(results[0].describe(motion), rows, right=False)
     for note in _notes(results):
@@ -243,11 +237,7 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     if not (score.isolated or details.shipped):
         notes.append(f"not isolated: {options.NOT_ISOLATED}")
     if score.assured is not None:
-        if any(result.payload is not None for result in results):
-            notes.append(f"payload: {score.assurance}")
-        for result in results:
-            if result.payload is None and result.draws > 1:
-                notes.append(_unloaded(result))
+        notes.append(f"payload: {score.assurance}")
     if score.assured is False:
         fewest = fewest_draws(details.probability or 0.95, details.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
@@ -258,29 +248,11 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     return notes
 
 
-def _unloaded(result: DLCCResult) -> str:
-    from cablebot_gym.evaluation.statistics import required_successes
-
-    needed, _ = required_successes(
-        result.draws, result.details.probability or 0.95, result.details.confidence or 0.95
-    )
-    failed = sum(result.details.failures.values())
-    return f"{result.criterion}: fails unloaded in {failed} of {result.draws} draws; {needed} have to succeed"
-
-
 def _margins_text(result: DLCCResult) -> str:
-    torque = result.details.margins["torque"]
-    position = result.details.margins["position"]
-    parts = [f"torque {torque:.1%}"]
-    if torque < 0:
-        parts = [f"torque saturates, |a| = {1 - torque:.3f}"]
-    parts += [f"position {position:.1%}"]
-    if "rotation" in result.details.margins:
-        parts.append(f"rotation {result.details.margins['rotation']:.1%}")
-    if "overload" in result.details.margins:
-        parts.append(f"maximum tension {result.details.margins['overload']:.1%}")
-    parts.append(f"tension ≥ {result.details.margins['tension']:.1f} N")
-    text = ", ".join(parts)
+    margins = dict(result.details.margins)
+    tension = margins.pop("tension")
+    parts = [f"{name} {margin:.1%}" for name, margin in margins.items()]
+    text = ", ".join([*parts, f"tension ≥ {tension:.1f} N"])
     if result.draws > 1:
         text += " (least over the draws that carry it)"
     return text
