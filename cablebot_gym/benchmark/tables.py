@@ -228,11 +228,12 @@ def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """One sentence per distinct error of a policy."""
+    """One sentence per distinct error of a policy, or of a search for the best known payload."""
     sentences = []
     for row in rows:
-        if row.error is not None and row.policy:
-            sentences.append(f"{row.policy} failed on {row.conditions.env_id}: {row.error}")
+        if row.error is not None and row.measure != "drawn":
+            name = row.policy or "the best known payload"
+            sentences.append(f"{name} failed on {row.conditions.env_id}: {row.error}")
     return list(dict.fromkeys(sentences))
 
 
