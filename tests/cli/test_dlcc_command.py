@@ -105,8 +105,8 @@ def test_error_of_a_policy_names_its_line(cablebot, toys):
 def test_wrapper_reaches_the_policy(cablebot, tmp_path):
     path = tmp_path / "toy_weak.py"
     path.write_text(WRAPPERS)
-    (result,) = cablebot(ONE, "--wrapper", path).data
-    assert (result["payload"], result["wrappers"]) == (None, [str(path)])
+    (result,) = cablebot(ONE, "--wrapper", f"{path}:Weak").data
+    assert (result["payload"], result["wrappers"]) == (None, [f"{path}:Weak"])
 
 
 @pytest.mark.landing

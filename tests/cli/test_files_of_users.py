@@ -14,7 +14,6 @@ from cablebot_gym.cli.options import _read_data
 from cablebot_gym.measurement import find_measurement
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.policies import load_policy
-from cablebot_gym.report.recording import _read as read_episodes
 from cablebot_gym.robots import PLANAR, find_robot
 from cablebot_gym.uncertainty import find_uncertainty
 from cablebot_gym.utils.console import command_line
@@ -97,7 +96,6 @@ def test_data_of_a_file_are_named_on_a_command_line(tmp_path):
 
 ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {
     "motion.json": option,
-    "episode.json": read_episodes,
     "state.json": training,
     "statistics.pkl": lambda path: load_policy("fl", PLANAR, wrappers=[path]),
 }
@@ -112,15 +110,11 @@ UNREADABLE = {
 @pytest.mark.parametrize("kind", UNREADABLE)
 @pytest.mark.parametrize("name", ALL_READERS)
 def test_reader_refuses_an_unreadable_file_in_one_sentence(tmp_path, name, kind):
-    """A reader of a pipe would wait for ever. One of stored results returns none, and computes them
-    again."""
+    """A reader of a pipe would wait for ever."""
     path = tmp_path / "folder" / name
     path.parent.mkdir()
     UNREADABLE[kind](path)
     result = outcome(ALL_READERS[name], path)
-    if name == "episode.json":
-        assert not result
-        return
     assert isinstance(result, str)
     assert len(result) <= 1000
 
