@@ -345,11 +345,6 @@ def compare_policies(
     """
     labels = _labels(policies, names)
     wrappers_of = [()] * len(labels) if wrappers is None else list(wrappers)
-    if len(wrappers_of) != len(labels):
-        raise ValueError(
-            f"wrappers must have one list for each of the {len(labels)} policies, "
-            f"not {len(wrappers_of)}"
-        )
     payload = number("payload", payload, least=0, unit="kg")
     shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []

@@ -257,7 +257,7 @@ def _absolute(name: str) -> str:
     file, _, attribute = name.rpartition(":")
     if file.endswith(".py"):
         return f"{os.path.abspath(file)}:{attribute}"
-    if name.endswith((*POLICY_SUFFIXES, ".pkl", ".py")):
+    if name.endswith((*POLICY_SUFFIXES, ".pkl")):
         return os.path.abspath(name)
     return name
 

@@ -30,9 +30,6 @@ SIZE = (640, 480)
 SMALLEST = (320, 240)
 """Smallest width and height [pixels]: text does not fit in smaller pictures."""
 
-LARGEST = (7680, 4320)
-"""Largest width and height [pixels], larger than any screen."""
-
 _OVERSAMPLING = 2
 """Factor by which pictures are painted larger and then scaled down, for smooth edges."""
 
@@ -71,17 +68,11 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """The size of a picture [pixels], checked.
 
     Raises:
-        ValueError: if it is below :data:`SMALLEST` or above ``LARGEST``.
+        ValueError: if it is below :data:`SMALLEST`.
     """
-    width, height = size
-    wide_enough = SMALLEST[0] <= width <= LARGEST[0]
-    high_enough = SMALLEST[1] <= height <= LARGEST[1]
-    if not (wide_enough and high_enough):
+    if size[0] < SMALLEST[0] or size[1] < SMALLEST[1]:
         least = f"{SMALLEST[0]} × {SMALLEST[1]}"
-        most = f"{LARGEST[0]} × {LARGEST[1]}"
-        raise ValueError(
-            f"a picture must have between {least} and {most} pixels, not {width} × {height}"
-        )
+        raise ValueError(f"a picture must have at least {least} pixels, not {size[0]} × {size[1]}")
     return size
 
 
@@ -96,7 +87,7 @@ class Painter:
 
     Raises:
         ImportError: if pygame is missing.
-        ValueError: if the size is too small or too large.
+        ValueError: if the size is too small.
     """
 
     def __init__(self, task: Task, title: str = "", size: tuple[int, int] = SIZE) -> None:

@@ -57,7 +57,7 @@ class VideoPainter:
 
     Raises:
         ImportError: if pygame is missing.
-        ValueError: if the size is too small or too large.
+        ValueError: if the size is too small.
     """
 
     def __init__(self, episodes: Sequence[Episode], size: tuple[int, int] = SIZE) -> None:
