@@ -102,7 +102,7 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a row of the benchmark failed, a best known payload was not verified,\n"
-        "       or a robot was refused or does not carry its payload\n"
+        "       or a robot does not carry its payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),

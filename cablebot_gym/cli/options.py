@@ -30,7 +30,7 @@ FittingEnvId = Annotated[
         "shows all.",
     ),
 ]
-"""The id of a command, for :func:`fitting_id` or :func:`id_and_file`."""
+"""The id of a command, for :func:`fitting_id`."""
 
 _POLICY = (
     "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
@@ -263,23 +263,6 @@ def fitting_id(env_id: str | None, robot: str | None) -> str:
             f"give an environment id, one of {', '.join(ENV_IDS)}, or a robot with --robot"
         )
     return fitting_env_id(robot)
-
-
-def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tuple[str, Path]:
-    """The environment id and the file of a command with both. A single argument is the file where
-    ``--robot`` determines the id.
-
-    Raises:
-        ValueError: if one of them is missing.
-    """
-    if out is None and env_id is not None and robot is not None:
-        out = Path(env_id)
-        env_id = None
-    if out is None:
-        raise ValueError(
-            "give an environment id, or a robot with --robot, and then a file to write"
-        )
-    return fitting_id(env_id, robot), out
 
 
 def with_seed(conditions: ConditionOptions, *, is_secret: bool) -> ConditionOptions:

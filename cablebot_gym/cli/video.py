@@ -5,14 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from cablebot_gym.cli.options import (
     ConditionOptions,
     FittingEnvId,
     Payload,
     PolicyNames,
-    id_and_file,
+    fitting_id,
     loaded_policies,
     robot_of,
     split_names,
@@ -41,16 +39,13 @@ def _pixels(size: str | None) -> tuple[int, int]:
 
 
 def video(
-    policy: PolicyNames,
-    conditions: ConditionOptions,
+    *,
     env_id: FittingEnvId = None,
+    policy: PolicyNames,
     out: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="FILE",
-            help="File to write, ending in .mp4 or .gif for a video, in .png for a picture.",
-        ),
-    ] = None,
+        Path, "File to write, ending in .mp4 or .gif for a video, in .png for a picture."
+    ],
+    conditions: ConditionOptions,
     payload: Payload = None,
     size: Annotated[
         str | None, "Size of the picture of each policy, such as 1280x960 [pixels]."
@@ -67,16 +62,16 @@ def video(
 
     Examples:
 
-    cablebot video CableBot-Spatial-v0 fl.mp4 --policy fl --payload 4
+    cablebot video CableBot-Spatial-v0 --out fl.mp4 --policy fl --payload 4
 
-    cablebot video CableBot-Spatial-v0 both.gif --policy fl,trajopt --payload 6 --size 480x360
+    cablebot video CableBot-Spatial-v0 --out both.gif --policy fl,trajopt --payload 6 --size 480x360
 
-    cablebot video CableBot-Spatial-v0 fl.png --policy fl --payload 6 --time 0.65
+    cablebot video CableBot-Spatial-v0 --out fl.png --policy fl --payload 6 --time 0.65
     """
     from cablebot_gym.video.recording import check_video, note, write_picture, write_video
 
     width_and_height = _pixels(size)
-    env_id, out = id_and_file(env_id, out, conditions.robot)
+    env_id = fitting_id(env_id, conditions.robot)
     check_video(out, speed)
     if time is not None and out.suffix != ".png":
         raise ValueError(f"--time is for a picture: name a .png file, not {str(out)!r}")

@@ -17,7 +17,6 @@ from cablebot_gym.evaluation.batch import (
     Batch,
     EpisodeSpec,
     StepCount,
-    foreign_policies,
     versions,
 )
 from cablebot_gym.evaluation.conditions import Conditions
@@ -159,9 +158,6 @@ class Comparison(Result):
     isolated: bool
     """Whether each policy ran in a process of its own. Otherwise one could change the evaluation of
     all, and every later one of this process."""
-    foreign_before: tuple[str, ...]
-    """Names of the policies that are neither shipped nor isolated and ran in this process before. They
-    could have changed this comparison."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
@@ -229,7 +225,6 @@ class Comparison(Result):
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
             "isolated": self.isolated,
-            "foreign_before": list(self.foreign_before),
             "error_bounds": vars(self.conditions.bounds),
             "environment": self.environment,
             "versions": versions(),
@@ -261,8 +256,6 @@ class Comparison(Result):
             )
         if self.not_isolated:
             lines.append(f"not isolated: {', '.join(self.not_isolated)}")
-        if self.foreign_before:
-            lines.append(f"after {', '.join(self.foreign_before)} in this process")
         return "\n".join(lines)
 
 
@@ -349,7 +342,6 @@ def compare_policies(
     shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []
     isolated = True
-    foreign_before = foreign_policies()
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
@@ -365,7 +357,6 @@ def compare_policies(
         payload=payload,
         draw_seeds=tuple(batch.seeds),
         isolated=isolated,
-        foreign_before=foreign_before,
         metrics=tuple(metrics),
         environment=batch.environment(),
         task=batch.task,

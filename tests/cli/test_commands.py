@@ -90,13 +90,17 @@ ERRORS = (
     (ROLLOUT.replace("--out", ""), 2, "--out"),
     (ROLLOUT + "folder.csv", 2, "it is a folder"),
     (ROLLOUT + "run", 2, "must end in .npz or .csv or .png"),
-    (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
-    (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
-    (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif or .png"),
-    (f"video {PLANAR} a.gif {POLICY} --time 1", 2, "--time is for a picture: name a .png file"),
-    (f"video a.png {POLICY}", 2, "or a robot with --robot, and then a file"),
+    (f"video {PLANAR} --out video.mp4 {POLICY} --size 641x481", 2, "even number"),
+    (f"video {PLANAR} --out video.mp4 {POLICY} --speed nan", 2, "speed must"),
+    (f"video {PLANAR} --out video.avi {POLICY}", 2, "end in .mp4 or .gif or .png"),
     (
-        f"video {PLANAR} a.png {POLICY} --time 9",
+        f"video {PLANAR} --out a.gif {POLICY} --time 1",
+        2,
+        "--time is for a picture: name a .png file",
+    ),
+    (f"video {PLANAR} {POLICY}", 2, "--out"),
+    (
+        f"video {PLANAR} --out a.png {POLICY} --time 9",
         2,
         "--time must be a finite number at least 0 and at most 1.6 s",
     ),
@@ -137,7 +141,7 @@ def test_error_ends_with_its_status_and_one_line_and_keeps_the_folder(
     [
         ("matplotlib", "plot", FL + "--out results"),
         ("casadi", "optimal", f"best-known {PLANAR}"),
-        ("pygame", "render", f"video {PLANAR} video.gif {POLICY}"),
+        ("pygame", "render", f"video {PLANAR} --out video.gif {POLICY}"),
         ("ray", "ray", "benchmark --policies fl --ray local"),
     ],
 )

@@ -80,7 +80,7 @@ def test_unfinished_episode_leaves_the_old_file(cablebot, toys, tmp_path, name, 
 def test_video_shows_two_policies(cablebot, tmp_path):
     path = tmp_path / "new" / "both.mp4"
     options = "--policy 'fl, robust' --payload 3 --speed 4 --size 320x240"
-    ended = cablebot(f"video {SPATIAL} {path} {options}")
+    ended = cablebot(f"video {SPATIAL} --out {path} {options}")
     assert ended.status == 0
     assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 13 + 30
     row = rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*"
@@ -94,7 +94,7 @@ def test_picture_shows_policies_at_a_time(cablebot, tmp_path):
 
     def picture(options):
         ended = cablebot(
-            f"video {SPATIAL} {path} --policy fl,robust --payload 1 --size 320x240 {options}"
+            f"video {SPATIAL} --out {path} --policy fl,robust --payload 1 --size 320x240 {options}"
         )
         assert ended.status == 0
         with Image.open(path) as image:
