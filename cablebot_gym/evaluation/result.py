@@ -196,8 +196,8 @@ class DLCCResult(Result):
         if not self.ranked:
             parts.append("unranked (bisection)")
         if self.isolated:
-            words = "isolated" if self.details.bubblewrap else "isolated without bubblewrap"
-            parts.append(words)
+            protection = "" if self.details.bubblewrap else " without bubblewrap"
+            parts.append(f"isolated{protection}")
         elif not self.details.shipped:
             parts.append("not isolated")
         return ", ".join(parts)

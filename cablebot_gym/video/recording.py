@@ -124,7 +124,7 @@ def check_video(path: str | Path, speed: float = SPEED) -> None:
 
 
 def write_picture(
-    path: Path,
+    path: str | Path,
     episodes: Sequence[Episode],
     *,
     time: float | None = None,
