@@ -193,7 +193,7 @@ def library_rows(rows: Sequence[Row]) -> list[list[list[str]]]:
         head.append("limiting violation of the best")
         best = max(group, key=lambda score: score.payload or 0.0)
         violation = best.result.get("violation")
-        row.append("–" if violation is None else str(Violation(**violation)))
+        row.append("–" if violation is None else str(Violation.from_dict(violation)))
         tables.setdefault(flexible, [head]).append(row)
     return [rows for _, rows in sorted(tables.items())]
 

@@ -286,7 +286,7 @@ def load(
         declarations=declarations(made),
         shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
-        notes=(note,) if note else (),
+        note=note,
     )
 
 

@@ -37,8 +37,6 @@ SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
 BEST_KNOWN = "best known payload"
 """Label of a best known payload in the policy column."""
 
-NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsaturated_actions; this policy does not."
-
 SHOWN_MOTIONS = 5
 """Number of motions of a family whose episodes the page shows."""
 
@@ -126,21 +124,11 @@ class _Cells:
         label = "DLCC"
         if score.payload is None:
             label = "unloaded"
-        reason = NO_EPISODE
-        if not score.applicable:
-            reason = NOT_APPLICABLE
-        return self.add(score.row, label, _facts(score), reason)
+        return self.add(score.row, label, _facts(score))
 
-    def add(self, row: Row, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> int:
-        """Adds a row and returns its index.
-
-        Args:
-            row: the row.
-            label: label of its payload.
-            facts: names and texts of its properties.
-            reason: reason for the missing episodes, if neither episodes nor an error message are
-                given.
-        """
+    def add(self, row: Row, label: str, facts: list[list[str]]) -> int:
+        """Adds a row with the label of its payload, and names and texts of its properties. Returns
+        its index."""
         versions = ", ".join(f"{name} {version}" for name, version in row.versions.items())
         data: dict[str, Any] = {
             "title": task_title(row),
@@ -150,7 +138,7 @@ class _Cells:
         }
         replays = self._replays.get(row.key, "")
         if isinstance(replays, str):
-            data |= {"replays": None, "reason": replays or reason}
+            data |= {"replays": None, "reason": replays or NO_EPISODE}
         else:
             data["replays"] = [replay.to_dict() for replay in replays]
             data["robot"] = _index(self.robots, _robot(row.conditions))
@@ -248,7 +236,9 @@ def _violation_text(entry: Sequence[scores.Score]) -> str:
     """Limiting violation for one motion; the violated limits and their counts for several
     motions."""
     violations = [
-        Violation(**score.result["violation"]) for score in entry if score.result.get("violation")
+        Violation.from_dict(score.result["violation"])
+        for score in entry
+        if score.result.get("violation")
     ]
     if len(entry) > 1:
         counts = Counter(LIMIT_NAMES[violation.kind] for violation in violations)
@@ -281,12 +271,9 @@ def _facts(score: scores.Score) -> list[list[str]]:
     if score.row.error is not None:
         return [["Error", score.row.error]]
     if not score.applicable:
-        return [["Not applicable", NOT_APPLICABLE]]
+        return []
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    violation = _violation_text([score])
-    if violation:
-        facts.append(["Limiting violation", violation])
     if given.draws:
         verb = "is not assured to be"
         if result.get("assured"):
@@ -299,8 +286,6 @@ def _facts(score: scores.Score) -> list[list[str]]:
         facts.append(["Violations of the draws at a larger payload", counts])
     if score.best_known is not None:
         facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
-    if given.model_payload_factor != 1.0:
-        facts.append(["Payload model", f"{given.model_payload_factor:g} times the nominal payload"])
     return facts
 
 

@@ -58,7 +58,6 @@ def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
     sentence += " at t = 0.532 s"
     assert {row["violation"] for row in data["rows"]} == {sentence, f"{name} 2 ×"}
     facts = dict(data["cells"][0]["facts"])
-    assert facts["Limiting violation"] == sentence
     assert facts["Violations of the draws at a larger payload"] == f"{name}: 3"
 
 
