@@ -13,12 +13,11 @@ import typer
 
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import command_line, say
+from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import read_text
 from cablebot_gym.utils.foreign import foreign_json
 
 if TYPE_CHECKING:
-    from cablebot_gym.motions import Trajectory
     from cablebot_gym.policies import LoadedPolicy
     from cablebot_gym.robots import Robot
 
@@ -303,8 +302,8 @@ def command_again(
 def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     """The robot in ``--robot``, or that of the environment.
 
-    Imports and checks the motion, and prints a note if it has waypoints. The import has to precede
-    the start of an isolated policy, which inherits the search path of modules.
+    Imports and checks the motion. The import has to precede the start of an isolated policy, which
+    inherits the search path of modules.
 
     Raises:
         ValueError: if the id is unknown, the robot does not fit, or there is no such motion.
@@ -317,34 +316,8 @@ def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     check_robot(env_id, conditions.robot)
     robot = find_robot(conditions.robot or env_id)
     trajectory = conditions.trajectory or default_trajectory(robot)
-    note_waypoints(robot, find_trajectory(trajectory, robot.kind))
+    find_trajectory(trajectory, robot.kind)
     return robot
-
-
-def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
-    """Prints the largest speeds and accelerations of a motion through waypoints and its largest
-    distance from the lines between them, which its file does not show."""
-    import numpy as np
-
-    from cablebot_gym.motions import Waypoints
-
-    motion = getattr(trajectory, "motion", trajectory)
-    if not isinstance(motion, Waypoints):
-        return
-    d = robot.dimensions
-    reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
-    texts = [f"{motion.name}: {counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"]
-    for name, rates, unit in (
-        ("speed", reference.velocity, "/s"),
-        ("acceleration", reference.acceleration, "/s²"),
-    ):
-        peak = f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"
-        if robot.coordinates > d:
-            peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
-        texts.append(f"largest {name} {peak}")
-    farthest, time, _ = motion.deviation(d)
-    texts.append(f"at most {1e3 * farthest:.4g} mm from the lines between them, after {time:.2f} s")
-    say("; ".join(texts))
 
 
 def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:

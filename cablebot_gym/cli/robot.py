@@ -19,7 +19,6 @@ from cablebot_gym.cli.options import (
     TrajectoryData,
     command_again,
     counted,
-    note_waypoints,
 )
 from cablebot_gym.utils.console import say
 
@@ -57,7 +56,6 @@ def check(
     if not as_json:  # before the motion, which may be invalid
         print("\n".join(report(robot_check)), flush=True)
     motion = check_motion(model, payload=payload, trajectory=trajectory)
-    note_waypoints(model, motion.trajectory)
     if as_json:
         print(json.dumps(robot_check.to_dict() | motion.to_dict(), indent=2))
     else:
