@@ -91,12 +91,10 @@ def dlcc(
     folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    has_isolated = any(options.isolates(name, conditions.wrappers, isolate) for name in names)
-    conditions = options.with_seed(conditions, is_secret=has_isolated)
     robot = options.robot_of(env_id, conditions)
-    policies = []
-    for name in names:
-        policies.append(options.loaded_policy(name, robot, conditions.wrappers, isolate=isolate))
+    policies = options.loaded_policies(names, robot, conditions.wrappers, isolate=isolate)
+    has_isolated = any(policy.isolated for policy in policies)
+    conditions = options.with_seed(conditions, is_secret=has_isolated)
     data: list[dict[str, Any]] = []
     for loaded in policies:
         results = _results(loaded, env_id, conditions, search)

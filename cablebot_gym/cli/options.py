@@ -283,19 +283,11 @@ def command_again(
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
     for item in fields(conditions):
-        name = item.name
         value = getattr(conditions, item.name)
-        if name == "payload_known":  # its flag is --payload-unknown
+        if item.name == "payload_known":  # its flag is --payload-unknown
             options["payload_unknown"] = not value
-            continue
-        is_default = value == item.default
-        if name == "seed" and value == 0:  # None stands for 0
-            is_default = True
-        if is_default:
-            continue
-        if name in ("position_bound", "rotation_bound"):
-            value = f"{value:.12g}"  # 10 in place of 10.0
-        options[name] = value
+        elif value != item.default:
+            options[item.name] = value
     return command_line(command, *arguments, **options)
 
 
@@ -320,53 +312,34 @@ def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     return robot
 
 
-def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:
-    """Whether ``--isolate`` puts a policy with a name and its wrappers in a process of its own."""
-    from cablebot_gym.policies import PolicySpec
-
-    if isolate is not None:
-        return isolate
-    return bool(wrappers) or not PolicySpec.parse(name).shipped
-
-
-def loaded_policy(
-    name: str, robot: Robot, wrappers: Sequence[str] = (), *, isolate: bool | None
-) -> LoadedPolicy:
-    """The policy with a name, made for a robot, in a process of its own where ``--isolate`` asks for
-    it.
-
-    Raises:
-        ValueError: if the policy cannot be loaded.
-    """
-    from cablebot_gym.isolation import IsolatedPolicy
-    from cablebot_gym.policies import load
-
-    if isolates(name, wrappers, isolate):
-        return IsolatedPolicy(name, robot, wrappers=wrappers).loaded
-    return load(name, robot, wrappers=wrappers)
-
-
 def loaded_policies(
-    names: list[str], robot: Robot, wrappers: Sequence[str], *, isolate: bool | None
+    names: Sequence[str], robot: Robot, wrappers: Sequence[str], *, isolate: bool | None
 ) -> list[LoadedPolicy]:
-    """The policies with these names, made for a robot. The wrappers apply to those that are not
-    installed.
+    """The policies with these names, made for a robot, in processes of their own where ``--isolate``
+    asks for them. The wrappers apply to those that are not installed.
 
     Raises:
         ValueError: if there is no policy, if one cannot be loaded, or if there are wrappers and only
             installed policies.
     """
-    from cablebot_gym.policies import PolicySpec
+    from cablebot_gym.isolation import IsolatedPolicy
+    from cablebot_gym.policies import PolicySpec, load
 
     if not names:
         raise ValueError("name at least one policy, such as fl")
-    installed = [PolicySpec.parse(name).installed for name in names]
-    if wrappers and all(installed):
+    specs = [PolicySpec.parse(name) for name in names]
+    if wrappers and all(spec.installed for spec in specs):
         raise ValueError(f"--wrapper does not apply to installed policies, such as {names[0]}")
     policies = []
-    for name, is_installed in zip(names, installed, strict=True):
-        layers = () if is_installed else wrappers
-        policies.append(loaded_policy(name, robot, layers, isolate=isolate))
+    for name, spec in zip(names, specs, strict=True):
+        layers = () if spec.installed else wrappers
+        is_isolated = isolate
+        if is_isolated is None:
+            is_isolated = bool(layers) or not spec.shipped
+        if is_isolated:
+            policies.append(IsolatedPolicy(name, robot, wrappers=layers).loaded)
+        else:
+            policies.append(load(name, robot, wrappers=layers))
     return policies
 
 

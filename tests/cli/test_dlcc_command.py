@@ -102,10 +102,10 @@ def test_error_of_a_policy_names_its_line(cablebot, toys):
 
 
 @pytest.mark.landing
-def test_wrapper_reaches_the_policy(cablebot, tmp_path):
+def test_wrapper_reaches_the_policy(cablebot, toys, tmp_path):
     path = tmp_path / "toy_weak.py"
     path.write_text(WRAPPERS)
-    (result,) = cablebot(ONE, "--wrapper", f"{path}:Weak").data
+    (result,) = cablebot(ONE, "--policy", toys("declares"), "--wrapper", f"{path}:Weak").data
     assert (result["payload"], result["wrappers"]) == (None, [f"{path}:Weak"])
 
 
@@ -158,7 +158,7 @@ def test_printed_command_repeats_the_failure(cablebot):
     violation = cablebot(line, "--json").data[0]["violation"]
     shown = cablebot(line).out
     typed = next(text for text in shown.splitlines() if text.startswith("  cablebot rollout"))
-    assert "--position-bound 4 --payload-unknown" in typed
+    assert "--position-bound 4.0 --payload-unknown" in typed
     ended = cablebot(typed.replace("cablebot ", "", 1))
     assert f"paper criterion: not carried: {Violation(**violation)}" in ended.out
 
