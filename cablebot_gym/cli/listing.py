@@ -12,9 +12,6 @@ from typing import Any
 
 from cablebot_gym.utils.console import print_table
 
-_WIDTH = 110
-"""Largest width of the tables [columns]."""
-
 _UNITS: dict[str, str] = tomllib.loads(
     (files("cablebot_gym.cli") / "units.toml").read_text(encoding="utf-8")
 )
@@ -29,19 +26,8 @@ def list_() -> None:
 
     Example: cablebot list
     """
-    from rich import box
-
     for _, title, rows in tables():
-        print_table(
-            title,
-            rows,
-            right=False,
-            width=_WIDTH,
-            box=box.SIMPLE_HEAD,
-            show_edge=False,
-            pad_edge=False,
-        )
-        print()
+        print_table(title, rows, right=False)
 
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:

@@ -71,27 +71,18 @@ def say(text: str, style: str | None = None) -> None:
     notes_console().print(text, style=style)
 
 
-def print_table(
-    title: str,
-    rows: Iterable[Sequence[str]],
-    *,
-    right: bool = True,
-    width: int | None = None,
-    **options: Any,
-) -> None:
+def print_table(title: str, rows: Iterable[Sequence[str]], *, right: bool = True) -> None:
     """Prints a title and a table on standard output.
 
     Args:
         title: line above the table.
         rows: the header, then the rows.
         right: whether all columns after the first are aligned to the right.
-        width: largest width [columns]; None for the width of the terminal.
-        options: options of ``rich.table.Table``.
     """
     from rich.table import Table
 
     head, *body = rows
-    table = Table(**options)
+    table = Table()
     for index, name in enumerate(head):
         justify: JustifyMethod = "right" if right and index else "left"
         # Names are copied, so they stay in one piece; rich would break them first.
@@ -100,7 +91,6 @@ def print_table(
     for row in body:
         table.add_row(*row)
     console = results_console()
-    console.width = min(console.width, width or console.width)
     console.print(title)
     console.print(table)
 
