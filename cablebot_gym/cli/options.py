@@ -91,13 +91,6 @@ LEAST_BOUND = 0.1
 """Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
 
 
-class FileData(dict[str, Any]):
-    """Data of a .json file."""
-
-    source: str
-    """The file, which stands for the data on a command line."""
-
-
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     """The value of an option: JSON or the content of a .json file as data, and any other text
     unchanged.
@@ -106,11 +99,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
     option = f"--{parameter.name}"
-    source = text or ""
-    is_file = source.lower().endswith(".json")
-    if is_file:
+    if text is not None and text.lower().endswith(".json"):
         try:
-            text = read_text(source)
+            text = read_text(text)
         except OSError as error:
             raise ValueError(
                 f"{option}: cannot read {text!r} ({error.strerror or error})"
@@ -122,13 +113,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        data = foreign_json(text)
+        return foreign_json(text)
     except ValueError as error:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
-    if is_file:
-        data = FileData(data)
-        data.source = source
-    return data
 
 
 TrajectoryData = Annotated[

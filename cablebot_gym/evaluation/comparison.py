@@ -21,7 +21,6 @@ from cablebot_gym.evaluation.batch import (
 )
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Rollout, record
-from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
@@ -120,12 +119,14 @@ class PolicyMetrics:
     def success(self) -> Estimate:
         """Fraction of the draws that carry the payload, with the confidence interval of Clopper and
         Pearson."""
+        from scipy.stats import binomtest  # slow to import
+
         fraction = float(self.carried.mean())
         draws = len(self.carried)
         if draws == 1:
             return Estimate(mean=fraction, low=fraction, high=fraction)
-        low, high = interval(int(self.carried.sum()), draws, CONFIDENCE)
-        return Estimate(mean=fraction, low=low, high=high)
+        ends = binomtest(int(self.carried.sum()), draws).proportion_ci(CONFIDENCE)
+        return Estimate(mean=fraction, low=float(ends.low), high=float(ends.high))
 
 
 QUANTITIES = {

@@ -209,9 +209,10 @@ class Search:
                 return below, above
             if below is None:
                 assert above is not None
-                lower = [max(payload for payload in self._grid if payload < above.payload)]
-                verdicts = self._batch.run(_rows(lower, self._batch.seeds), count=self._count)
-                self._motion.store(_trials(lower, self._batch.seeds, verdicts))
+                lower = max(payload for payload in self._grid if payload < above.payload)
+                seeds = tuple(self._batch.seeds)
+                verdicts = tuple(self._batch.run(_rows([lower], seeds), count=self._count))
+                self._motion.store([Trial(payload=lower, verdicts=verdicts, seeds=seeds)])
                 continue
             alone = self._batch.try_alone(below.payload, draws, required, self._count)
             if alone.carried >= required:
@@ -346,13 +347,3 @@ class Search:
 
 def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[EpisodeSpec]:
     return [EpisodeSpec(payload, seed) for payload in payloads for seed in seeds]
-
-
-def _trials(payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts) -> list[Trial]:
-    draws = len(seeds)
-    trials = []
-    for index, payload in enumerate(payloads):
-        start = index * draws
-        drawn = tuple(verdicts[start : start + draws])
-        trials.append(Trial(payload=payload, verdicts=drawn, seeds=tuple(seeds)))
-    return trials

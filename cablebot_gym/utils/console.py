@@ -180,8 +180,7 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
         command: command of ``cablebot``.
         arguments: its positional arguments.
         options: values by the option's name in Python. True is a flag without value, a mapping
-            becomes JSON, or the name of the file that it comes from (``source``), and a list repeats
-            the option. None, False and empty values are left out.
+            becomes JSON, and a list repeats the option. None, False and empty values are left out.
     """
     words = ["cablebot", command, *map(str, arguments)]
     for name, option in options.items():
@@ -190,9 +189,7 @@ def command_line(command: str, *arguments: object, **options: Any) -> str:
             if value is None or value is False or value in ("", {}):
                 continue
             words.append(f"--{name.replace('_', '-')}")
-            if hasattr(value, "source"):  # data of a file
-                words.append(value.source)
-            elif isinstance(value, Mapping):
+            if isinstance(value, Mapping):
                 words.append(json.dumps(value, ensure_ascii=False))
             elif value is not True:
                 words.append(str(value))
