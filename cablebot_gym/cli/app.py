@@ -191,7 +191,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _fail("interrupted. No file was left incomplete.", INTERRUPTED)
     except (ValueError, ImportError) as error:
-        _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
+        _fail(sentence_of_user_code(error) or str(error), 2)
     except BrokenPipeError:  # the reader wants no more, as in `| head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
@@ -228,19 +228,6 @@ def _example(arguments: Sequence[str]) -> str:
             match = re.search(r"^ *(?:Example: )?(cablebot .+)$", text, re.MULTILINE)
             return match[1] if match else ""
     return ""
-
-
-def _with_option_names(message: str) -> str:
-    """Replaces the Python keyword at the start of an error message by the option that the user
-    typed."""
-    keyword = re.match(r"(?:error_bounds: )?([a-z][a-z0-9_]*)(?= must )", message)
-    typed = {argument.partition("=")[0] for argument in sys.argv}
-    if keyword is not None:
-        name = keyword[1].replace("_", "-")
-        for option in (f"--{name}", f"--{name}-bound"):
-            if option in typed:
-                return option + message[keyword.end() :]
-    return message
 
 
 def _fail(message: str, status: int) -> None:

@@ -140,7 +140,7 @@ class _Cells:
         if isinstance(replays, str):
             data |= {"replays": None, "reason": replays or NO_EPISODE}
         else:
-            data["replays"] = [replay.to_dict() for replay in replays]
+            data["replays"] = [vars(replay) for replay in replays]
             data["robot"] = _index(self.robots, _robot(row.conditions))
             data["motion"] = _index(self.motions, _motion(row.conditions))
         self.cells.append(data)

@@ -6,8 +6,7 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -79,10 +78,6 @@ class Replay:
     """Samples of one component after the other. Each component is quantised to 16 bits between
     ``low`` and ``high`` and stored as differences of successive frames: little-endian, compressed
     with zlib, base64-encoded."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data."""
-        return asdict(self)
 
 
 def platform_points(robot: Robot) -> tuple[Array, list[int]]:

@@ -79,7 +79,7 @@ ERRORS = (
     (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
     (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
     (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
-    (FL + "--payload-max -1", 2, "payload-max"),
+    (FL + "--payload-max -1", 2, "payload_max must be"),
     (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),
     (FL + "--out file/below", 2, "cannot write to folder"),
     (f"compare {SPATIAL}", 2, "--policies"),
@@ -102,7 +102,7 @@ ERRORS = (
     (
         f"video {PLANAR} --out a.png {POLICY} --time 9",
         2,
-        "--time must be a finite number at least 0 and at most 1.6 s",
+        "time must be a finite number at least 0 and at most 1.6 s",
     ),
     (
         "benchmark --suite huge",
