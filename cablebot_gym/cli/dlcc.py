@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -17,21 +16,6 @@ if TYPE_CHECKING:
     from cablebot_gym.policies import LoadedPolicy
 
 
-class CriterionChoice(StrEnum):
-    """Choices of ``--criterion``."""
-
-    task = "task"
-    paper = "paper"
-    both = "both"
-
-
-class SearchChoice(StrEnum):
-    """Choices of ``--search``."""
-
-    scan = "scan"
-    bisection = "bisection"
-
-
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions(Options):
     """The search for the payload."""
@@ -39,10 +23,10 @@ class SearchOptions(Options):
     title: ClassVar[str] = "Search"
 
     criterion: Annotated[
-        CriterionChoice,
+        str,
         "Success criterion: task (saturated torques; position, rotation and tension), "
         "paper (torques within the limits without saturation; position and slack), or both.",
-    ] = CriterionChoice.both
+    ] = "both"
     payload_max: Annotated[
         float | None,
         "Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
@@ -53,10 +37,10 @@ class SearchOptions(Options):
         "Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several.",
     ] = None
     search: Annotated[
-        SearchChoice,
+        str,
         "scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
         "result is unranked.",
-    ] = SearchChoice.scan
+    ] = "scan"
     draws: options.Draws = None
     probability: Annotated[
         float, "Required success probability of the payload over the draws, with 95 % confidence."
@@ -121,8 +105,8 @@ def _criteria(policy: LoadedPolicy, search: SearchOptions) -> list[str]:
     """The criteria to evaluate: of ``both``, those that apply to the policy."""
     from cablebot_gym.evaluation.judge import CRITERIA
 
-    if search.criterion is not CriterionChoice.both:
-        return [search.criterion.value]
+    if search.criterion != "both":
+        return [search.criterion]
     if not policy.declarations.unsaturated_actions:
         return ["task"]
     return list(CRITERIA)
@@ -133,7 +117,7 @@ def _results(
 ) -> list[DLCCResult]:
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 
-    settings = asdict(search) | {"search": search.search.value}
+    settings = asdict(search)
     results = []
     for criterion in _criteria(policy, search):
         settings["criterion"] = criterion
@@ -179,7 +163,7 @@ def print_payloads(results: list[DLCCResult], search: SearchOptions) -> None:
     """Prints a table of the evaluations of one policy, one for each criterion that applies to it."""
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     rows += [_row(result) for result in results]
-    if search.criterion is CriterionChoice.both and len(results) == 1:
+    if search.criterion == "both" and len(results) == 1:
         reason = "not applicable: the policy does not declare unsaturated_actions"
         rows.append(["paper", "n/a", "–", reason, "–"])
     motion = results[0].details.environment["trajectory"].get("name", "")
