@@ -14,7 +14,6 @@ from cablebot_gym.utils.console import print_table, say
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.comparison import (
         Comparison,
-        Estimate,
         PayloadComparison,
         PolicyMetrics,
     )
@@ -151,8 +150,9 @@ def print_comparisons(comparisons: Sequence[Comparison]) -> None:
         for index, metrics in enumerate(compared, 1):
             changes = []
             for name in REDUCTION_QUANTITIES:
-                change = _change(first.reduction(index, name))
-                changes.append(f"{name.replace('_', ' ')} {change}")
+                less = first.reduction(index, name)
+                interval = f"[{-less.high:+.0%}, {-less.low:+.0%}]"
+                changes.append(f"{name.replace('_', ' ')} {-less.mean:+.0%} {interval}")
             print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
     _print_notes(comparisons)
 
@@ -189,10 +189,3 @@ def _print_notes(comparisons: Sequence[Comparison]) -> None:
     not_isolated = comparisons[0].not_isolated
     if not_isolated:
         print(f"not isolated: {', '.join(not_isolated)}: {options.NOT_ISOLATED}")
-
-
-def _change(fraction: Estimate) -> str:
-    """Relative change as text. A reduction has a minus sign."""
-    ends = (fraction.mean, fraction.high, fraction.low)
-    mean, low, high = (f"{round(-end, 2) + 0.0:+.0%}" for end in ends)  # + 0.0 avoids "-0%"
-    return f"{mean} [{low}, {high}]" if fraction.high > fraction.low else mean

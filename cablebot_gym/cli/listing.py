@@ -100,14 +100,10 @@ def _environment_rows() -> list[list[str]]:
 def _robot_rows() -> list[list[str]]:
     from cablebot_gym.robots import find_robot, robot_names
 
-    rows = [["name", "kind", "cables", "transmission", "values with a source"]]
+    rows = [["name", "kind", "cables", "transmission"]]
     for name in robot_names():
         robot = find_robot(name)
-        values = "the paper"  # in the code, which cites its tables
-        if robot.sources:
-            assumed = [text for text in robot.sources.values() if text.startswith("assumed")]
-            values = f"{len(robot.sources) - len(assumed)} of {len(robot.sources)}"
-        rows.append([name, robot.kind, str(robot.cables), robot.springs, values])
+        rows.append([name, robot.kind, str(robot.cables), robot.springs])
     return rows
 
 
