@@ -6,7 +6,6 @@ import os
 os.environ["OMP_NUM_THREADS"] = "1"
 
 import signal
-import sys
 
 import processor_time
 import pytest
@@ -104,14 +103,6 @@ def _shared_compilation(request, tmp_path_factory):
         from compiling import share
 
         share(tmp_path_factory.getbasetemp().parent / "compiling")
-
-
-@pytest.fixture(autouse=True)
-def _no_foreign_policies():
-    """Results do not name the policies of other tests."""
-    batch = sys.modules.get("cablebot_gym.evaluation.batch")
-    if batch is not None:
-        batch._FOREIGN.clear()
 
 
 @pytest.fixture(autouse=True)

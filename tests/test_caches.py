@@ -3,13 +3,10 @@ it."""
 
 import numpy as np
 import pytest
-from benchmark.made_rows import carries
 
 from cablebot_gym.physics.compiling import code_cache
 from cablebot_gym.physics.compiling.loading import cached_njit
 from cablebot_gym.planning import PlannedMotion, library
-from cablebot_gym.report import recording
-from cablebot_gym.report.replay import Replay
 
 MOTION = PlannedMotion(
     name="line",
@@ -54,37 +51,9 @@ def plan(folder, monkeypatch):
     return use
 
 
-def episodes_of_a_report(folder, monkeypatch):
-    replay = Replay(
-        payload=1.0,
-        radius=0.1,
-        carried=True,
-        violation="",
-        violation_time=None,
-        end=1.0,
-        frames=1,
-        channels={"action": 1},
-        low=[0.0],
-        high=[1.0],
-        data="0" * 200,
-    )
-    computed = []
-    monkeypatch.setattr(recording, "record", lambda *query: computed.append(1) or [replay])
-
-    def use():
-        computed.clear()
-        queries = {"key": carries("fl", 1.0)}
-        found = dict(recording.record_all(queries, folder, workers=1, say=print))
-        assert found == {"key": [replay]}
-        return bool(computed)
-
-    return use
-
-
 CACHES = {
     "compiled code": compiled_code,
     "plan": plan,
-    "episodes of a report": episodes_of_a_report,
 }
 """Each makes a function that reads a value, or computes and stores it; it returns whether it was
 computed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any
 
 from cablebot_gym.benchmark.rows import Row, compute, failed, jobs
@@ -56,7 +57,10 @@ def run_rows(
         kind[str(index)] = partial(compute, group)
     done = len(rows) - len(due)
     progress(done, len(rows))
-    for key, computed in _computed(computations, timings, backend, say):
+    died = (processes.WorkerDied,)
+    # the timings come when no other job runs
+    results = chain(backend(computations, say, died), local(1)(timings, say, died))
+    for key, computed in results:
         group = groups[int(key)]
         store.add(_checked(group, computed))
         done += len(group)
@@ -72,15 +76,6 @@ def _checked(group: Sequence[Row], computed: Any) -> list[Row]:
         return [failed(row, reason) for row in group]
     rows: list[Row] = computed
     return rows
-
-
-def _computed(
-    jobs: Mapping[str, Job], timings: Mapping[str, Job], backend: Backend, say: Say
-) -> Iterator[tuple[str, Any]]:
-    """Key and rows of each job, or why its process died; the timings come when no other job runs."""
-    died = (processes.WorkerDied,)
-    yield from backend(jobs, say, died)
-    yield from local(1)(timings, say, died)
 
 
 def _cost(group: Sequence[Row]) -> float:

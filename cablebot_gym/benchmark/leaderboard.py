@@ -9,7 +9,6 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
-import numpy as np
 from rich.markdown import Markdown
 
 from cablebot_gym.benchmark import tables
@@ -17,10 +16,8 @@ from cablebot_gym.benchmark.ranking import CONFIDENCE, RANKED_MOTIONS
 from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.scores import (
     Leaderboard,
-    best_known_rows,
     error_tables,
     leaderboards,
-    verified_payload,
 )
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.suites import find_suite
@@ -38,7 +35,7 @@ Payload [kg] that a policy carries (DLCC), and its fraction of the best known pa
 
 
 def markdown(results: Results) -> str:
-    """The leaderboard page: a table for each environment, best known payloads and notes."""
+    """The leaderboard page: a table for each environment, and notes."""
     rows = results.rows
     boards = leaderboards(rows)
     main = [board for board in boards if board.is_main]
@@ -56,12 +53,10 @@ def markdown(results: Results) -> str:
         text += "\n## Real robots\n\n"
         text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
     text += errors_text(rows, "##")
-    if not main:
-        text += _section("Best known payloads", _best_known_lines(rows))
-    text += _section(
-        "What can be hoped for, as a fraction of the best known payload",
-        tables.yardstick_rows(rows),
-    )
+    yardsticks = tables.yardstick_rows(rows)
+    if len(yardsticks) > 1:
+        text += "\n## What can be hoped for, as a fraction of the best known payload\n\n"
+        text += _table(yardsticks)
     text += _notes_text(rows, boards)
     if results.seed_text is not None:
         text += _hidden_text(results.seed_text)
@@ -73,13 +68,6 @@ def markdown(results: Results) -> str:
         f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}."
     )
     return f"{text}\n{_definitions(rows)}\n{origin}\n"
-
-
-def _section(title: str, rows: Sequence[Sequence[str]]) -> str:
-    """A table under a heading; empty if it has a head only."""
-    if len(rows) < 2:
-        return ""
-    return f"\n## {title}\n\n{_table(rows)}"
 
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
@@ -214,40 +202,6 @@ def _versions(rows: Sequence[Row]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
     distinct = {canonical(dict(row.versions)): row.versions for row in rows}
     return list(distinct.values())
-
-
-def _best_known_lines(rows: Sequence[Row]) -> list[list[str]]:
-    """Head, a line for each motion, and one for all random motions of an environment."""
-    lines = [["environment", "motion", "payload [kg]", "total mass [kg]", "note"]]
-    groups: dict[tuple[str, str], list[Row]] = {}
-    for row in best_known_rows(rows).values():
-        groups.setdefault((row.conditions.env_id, row.motion), []).append(row)
-    for (env_id, title), group in groups.items():
-        if len(group) == 1:
-            title = tables.task_title(group[0])
-        medians = []
-        for name in ("payload", "total_mass"):
-            values = [row.result[name] for row in group if row.result.get(name) is not None]
-            medians.append(f"{np.median(values):.3f}" if values else "–")
-        lines.append([env_id, title, *medians, _best_known_note(group)])
-    return lines
-
-
-def _best_known_note(group: Sequence[Row]) -> str:
-    """The range of several payloads; of a single one, why it does not count."""
-    verified = [verified_payload(row) for row in group]
-    payloads = [payload for payload in verified if payload is not None]
-    if len(group) == 1:
-        note = group[0].error or ""
-        if not note and not payloads:
-            note = "not verified by the replay"
-        return note
-    note = f"medians of {len(group)} motions"
-    if payloads:
-        note += f"; payloads from {min(payloads):.3f} to {max(payloads):.3f}"
-    if len(payloads) < len(group):
-        note += f"; {len(group) - len(payloads)} without a verified payload"
-    return note
 
 
 def print_page(page: str) -> None:

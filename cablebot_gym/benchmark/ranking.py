@@ -55,6 +55,8 @@ def _interval(fractions: Array) -> tuple[float, float]:
     mid-P interval of the success rate with Student's interval of the mean of the successes, as
     logarithms of their product (Zou and Donner 2008).
     """
+    from scipy.stats import t  # slow to import
+
     motions = len(fractions)
     if motions == 1:
         only = float(fractions[0])
@@ -67,19 +69,12 @@ def _interval(fractions: Array) -> tuple[float, float]:
     rate = count / motions
     mean = float(successes.mean())
     spread = float(successes.std(ddof=1))
-    half_width = _student(count) * spread / math.sqrt(count)
+    half_width = float(t.ppf((1 + CONFIDENCE) / 2, count - 1)) * spread / math.sqrt(count)
     mean_low = max(mean - half_width, 1e-9)
     below = math.hypot(math.log(rate / rate_low), math.log(mean / mean_low))
     above = math.hypot(math.log(rate_high / rate), math.log(1 + half_width / mean))
     product = rate * mean
     return product * math.exp(-below), product * math.exp(above)
-
-
-def _student(count: int) -> float:
-    """Two-sided quantile of Student's distribution for a mean of ``count`` values."""
-    from scipy.stats import t  # slow to import
-
-    return float(t.ppf((1 + CONFIDENCE) / 2, count - 1))
 
 
 def ranks(fractions: Mapping[str, Array]) -> dict[str, int]:

@@ -117,14 +117,12 @@ def _check_address(address: str) -> None:
     if address in ("auto", "local"):
         return
     host, _, port = address.removeprefix("ray://").rpartition(":")
-    if not host or not port.isdecimal():
-        raise ValueError(
-            f"{address!r} is not an address of a Ray cluster; use auto, local, host:port or ray://host:port"
-        )
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=5.0).close()
-    except (OSError, OverflowError) as error:
-        raise ValueError(f"no Ray cluster at {address!r}: {error}") from error
+    except (OSError, OverflowError, ValueError) as error:
+        raise ValueError(
+            f"no Ray cluster at {address!r} ({error}): use auto, local, host:port or ray://host:port"
+        ) from error
 
 
 def _import_ray() -> Any:

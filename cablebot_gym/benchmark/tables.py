@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cache
 from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
-from cablebot_gym.benchmark.rows import Row, canonical
+from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.robots import KIND_TEXTS, Kind, find_robot
+from cablebot_gym.robots import KIND_TEXTS, find_robot
 
 
 def heading(column: Conditions) -> str:
@@ -128,24 +125,6 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     return rows
 
 
-def limiting_violation(score: scores.Score) -> dict[str, Any] | None:
-    """The violation beyond the payload of a score: fields of
-    :class:`~cablebot_gym.evaluation.judge.Violation`, and the ``fraction`` of the motion with
-    its dwells at which the limit broke. None without a violation."""
-    violation: dict[str, Any] | None = score.result.get("violation")
-    if violation is None:
-        return None
-    trajectory = canonical(score.conditions.trajectory)
-    duration = _duration(trajectory, score.conditions.nominal_robot.kind)
-    return violation | {"fraction": violation["time"] / duration}
-
-
-@cache
-def _duration(trajectory: str, kind: Kind) -> float:
-    """Duration of a motion with its dwells [s]. All policies have the same motions."""
-    return find_trajectory(json.loads(trajectory), kind).duration
-
-
 def error_title(table: scores.ErrorTable) -> str:
     """Title of an error table."""
     given = table.conditions
@@ -214,7 +193,7 @@ def library_rows(rows: Sequence[Row]) -> list[list[list[str]]]:
         head.append("limiting violation of the best")
         best = max(group, key=lambda score: score.payload or 0.0)
         violation = best.result.get("violation")
-        row.append("–" if violation is None else str(Violation(**violation)))
+        row.append("–" if violation is None else str(Violation.from_dict(violation)))
         tables.setdefault(flexible, [head]).append(row)
     return [rows for _, rows in sorted(tables.items())]
 
@@ -249,11 +228,12 @@ def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """One sentence per distinct error of a policy."""
+    """One sentence per distinct error of a policy, or of a search for the best known payload."""
     sentences = []
     for row in rows:
-        if row.error is not None and row.policy:
-            sentences.append(f"{row.policy} failed on {row.conditions.env_id}: {row.error}")
+        if row.error is not None and row.measure != "drawn":
+            name = row.policy or "the best known payload"
+            sentences.append(f"{name} failed on {row.conditions.env_id}: {row.error}")
     return list(dict.fromkeys(sentences))
 
 

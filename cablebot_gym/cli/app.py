@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import atexit
 import gc
+import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
+from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
@@ -20,7 +22,6 @@ from typer.core import TyperGroup
 
 from cablebot_gym.cli.records import GroupedOptions, with_options
 from cablebot_gym.utils.console import say
-from cablebot_gym.utils.streams import output_problem, protect_streams
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
 COMMAND_GROUP = "cablebot_gym.commands"
@@ -33,11 +34,9 @@ COMMANDS = {
         "compare": "cablebot_gym.cli.compare:compare",
         "best-known": "cablebot_gym.cli.best_known:best_known",
     },
-    "Record and show episodes": {
+    "Record episodes": {
         "rollout": "cablebot_gym.cli.rollout:rollout",
-        "watch": "cablebot_gym.cli.watch:watch",
         "video": "cablebot_gym.cli.video:video",
-        "picture": "cablebot_gym.cli.picture:picture",
     },
     "Run benchmarks": {
         "benchmark": "cablebot_gym.cli.benchmark:benchmark",
@@ -47,7 +46,6 @@ COMMANDS = {
         "list": "cablebot_gym.cli.listing:list_",
         "robot check": "cablebot_gym.cli.robot:check",
         "robot export": "cablebot_gym.cli.exporting:export",
-        "doctor": "cablebot_gym.cli.doctor:doctor",
     },
 }
 """Built-in commands by group. The module of a command is imported when the command is run."""
@@ -104,8 +102,7 @@ app = typer.Typer(
         "  0    success, whatever the payload is\n"
         "  1    failure: a policy raised an error, a file could not be written,\n"
         "       a row of the benchmark failed, a best known payload was not verified,\n"
-        "       doctor found a fault, or a robot was refused or does not carry its\n"
-        "       payload\n"
+        "       or a robot does not carry its payload\n"
         "  2    invalid input, or a folder that is not writable\n"
         "  130  interrupted"
     ),
@@ -172,18 +169,11 @@ def _points_of(typed: str) -> Mapping[str, EntryPoint]:
 
 def main() -> None:
     """Runs the command line. Converts errors to a message of one line and an exit status."""
-    protect_streams()
-    try:
-        _run()
-    except SystemExit as ended:
-        if (problem := output_problem()) and not ended.code:
-            _fail(f"cannot write to standard output: {problem}. The lines above are the output.", 1)
-        raise
-
-
-def _run() -> None:
     from cablebot_gym.policies import PolicyError
 
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # not in a notebook
+            stream.reconfigure(errors="backslashreplace")
     # the last collection of the process would take 0.2 s and free nothing that matters
     atexit.register(gc.freeze)
     # package.module:factory of the working directory; last, so that no file there hides a package
@@ -196,11 +186,15 @@ def _run() -> None:
         status = app(standalone_mode=False)
         if status == INTERRUPTED:
             raise KeyboardInterrupt
+        sys.stdout.flush()
         sys.exit(status if isinstance(status, int) else 0)
     except KeyboardInterrupt:
         _fail("interrupted. No file was left incomplete.", INTERRUPTED)
     except (ValueError, ImportError) as error:
-        _fail(sentence_of_user_code(error) or _with_option_names(str(error)), 2)
+        _fail(sentence_of_user_code(error) or str(error), 2)
+    except BrokenPipeError:  # the reader wants no more, as in `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except OSError as error:
         message = str(error)
         if error.filename is not None:
@@ -234,19 +228,6 @@ def _example(arguments: Sequence[str]) -> str:
             match = re.search(r"^ *(?:Example: )?(cablebot .+)$", text, re.MULTILINE)
             return match[1] if match else ""
     return ""
-
-
-def _with_option_names(message: str) -> str:
-    """Replaces the Python keyword at the start of an error message by the option that the user
-    typed."""
-    keyword = re.match(r"(?:error_bounds: )?([a-z][a-z0-9_]*)(?= must )", message)
-    typed = {argument.partition("=")[0] for argument in sys.argv}
-    if keyword is not None:
-        name = keyword[1].replace("_", "-")
-        for option in (f"--{name}", f"--{name}-bound"):
-            if option in typed:
-                return option + message[keyword.end() :]
-    return message
 
 
 def _fail(message: str, status: int) -> None:

@@ -14,7 +14,7 @@ from cablebot_gym.cli.options import (
     fitting_id,
     robot_of,
 )
-from cablebot_gym.utils.console import activity
+from cablebot_gym.utils.console import say
 
 
 def best_known(
@@ -36,8 +36,7 @@ def best_known(
 
     env_id = fitting_id(env_id, conditions.robot)
     robot_of(env_id, conditions)
-    with activity() as say:
-        result = find_best_known(env_id, progress=say, **conditions.keywords())
+    result = find_best_known(env_id, progress=say, **conditions.keywords())
     print(result.to_json() if as_json else result)
     if not result.verified:
         raise typer.Exit(1)

@@ -9,25 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cablebot_gym.cli import options
-from cablebot_gym.utils.console import print_table, results_console, say
+from cablebot_gym.utils.console import print_table, say
 
 if TYPE_CHECKING:
     from cablebot_gym.evaluation.comparison import (
         Comparison,
-        Estimate,
         PayloadComparison,
         PolicyMetrics,
     )
 
-_NARROW = 150
-"""Width of the terminal below which the table is transposed: one column for each policy
-[columns]."""
-
 _SHOWN_UNITS = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "1": ("%", 100.0)}
 """Unit of a column and its factor, by the unit of the quantity where they differ."""
 
-_OVER_PAYLOAD = ("mean_error", "max_error", "max_rotation", "rms_torque")
-"""Quantities that the table over the payload shows."""
+_SHOWN = ("mean_error", "max_error", "max_rotation", "rms_torque", "torque_margin")
+"""Quantities that the table shows; the files have all."""
 
 
 def compare(
@@ -88,9 +83,9 @@ def compare(
         print(comparison.to_json())
         return
     if isinstance(comparison, PayloadComparison):
-        print_payload_comparison(comparison)
+        print_comparisons(comparison.comparisons)
     else:
-        print_comparison(comparison)
+        print_comparisons([comparison])
     if has_isolated:
         print(f"seed {conditions.seed}")
 
@@ -131,65 +126,35 @@ def payload_grid(text: str) -> list[float]:
     )
 
 
-def print_payload_comparison(comparison: PayloadComparison) -> None:
-    """Prints a table of the policies over the payload."""
-    lightest = comparison.comparisons[0]
+def print_comparisons(comparisons: Sequence[Comparison]) -> None:
+    """Prints a table of policies over the same draws, with each payload. With a single payload, it
+    prints relative changes against the first policy, too."""
+    from cablebot_gym.evaluation.comparison import QUANTITIES, REDUCTION_QUANTITIES
+
+    first = comparisons[0]
     columns = []
-    for column in _columns(lightest):
-        if column[0] in _OVER_PAYLOAD:
-            columns.append(column)
-    rows = [["payload [kg]", "policy", "success rate", *(heading for _, heading, _ in columns)]]
-    all_metrics = []
-    for at_payload in comparison.comparisons:
-        payload = f"{at_payload.payload:g}"
-        for metrics in at_payload.metrics:
-            rows.append([payload, *_cells(metrics, columns)])
-            all_metrics.append(metrics)
-            payload = ""
-    print_table(lightest.describe(), rows)
-    _print_notes(all_metrics)
-    _note_not_isolated(lightest)
-
-
-def _columns(comparison: Comparison) -> list[tuple[str, str, float]]:
-    """Quantity, heading and factor of the unit of each column."""
-    from cablebot_gym.evaluation.comparison import QUANTITIES
-
-    columns = []
-    for name, unit in QUANTITIES.items():
-        shown, factor = _SHOWN_UNITS.get(unit, (unit, 1.0))
+    for name in _SHOWN:
         # a point mass has no rotation
-        if name != "max_rotation" or not comparison.task.robot.point_mass:
-            columns.append((name, f"{name.replace('_', ' ')} [{shown}]", factor))
-    return columns
-
-
-def print_comparison(comparison: Comparison) -> None:
-    """Prints a table of policies over the same draws, and the relative changes against the first
-    policy."""
-    from cablebot_gym.evaluation.comparison import REDUCTION_QUANTITIES
-
-    columns = _columns(comparison)
-    rows = [["policy", "success rate", *(heading for _, heading, _ in columns)]]
-    rows += [_cells(metrics, columns) for metrics in comparison.metrics]
-    if results_console().width < _NARROW:
-        rows = [list(row) for row in zip(*rows, strict=True)]
-    print_table(comparison.describe(f"payload {comparison.payload:g} kg"), rows)
-    reference, *compared = comparison.metrics
-    for index, metrics in enumerate(compared, 1):
-        changes = []
-        for name in REDUCTION_QUANTITIES:
-            change = _change(comparison.reduction(index, name))
-            changes.append(f"{name.replace('_', ' ')} {change}")
-        print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
-    _print_notes(comparison.metrics)
-    _note_not_isolated(comparison)
-
-
-def _note_not_isolated(comparison: Comparison) -> None:
-    """Prints a note about policies that could change the evaluation."""
-    if comparison.not_isolated:
-        print(f"not isolated: {', '.join(comparison.not_isolated)}: {options.NOT_ISOLATED}")
+        if name != "max_rotation" or not first.task.robot.point_mass:
+            unit, factor = _SHOWN_UNITS.get(QUANTITIES[name], (QUANTITIES[name], 1.0))
+            columns.append((name, f"{name.replace('_', ' ')} [{unit}]", factor))
+    rows = [["payload [kg]", "policy", "success rate", *(heading for _, heading, _ in columns)]]
+    for comparison in comparisons:
+        payload = f"{comparison.payload:g}"
+        for metrics in comparison.metrics:
+            rows.append([payload, *_cells(metrics, columns)])
+            payload = ""
+    print_table(first.describe(), rows)
+    if len(comparisons) == 1:
+        reference, *compared = first.metrics
+        for index, metrics in enumerate(compared, 1):
+            changes = []
+            for name in REDUCTION_QUANTITIES:
+                less = first.reduction(index, name)
+                interval = f"[{-less.high:+.0%}, {-less.low:+.0%}]"
+                changes.append(f"{name.replace('_', ' ')} {-less.mean:+.0%} {interval}")
+            print(f"{metrics.policy} against {reference.policy}: {', '.join(changes)}")
+    _print_notes(comparisons)
 
 
 def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) -> list[str]:
@@ -210,19 +175,17 @@ def _cells(metrics: PolicyMetrics, columns: Sequence[tuple[str, str, float]]) ->
     return cells
 
 
-def _print_notes(metrics: Sequence[PolicyMetrics]) -> None:
+def _print_notes(comparisons: Sequence[Comparison]) -> None:
     from cablebot_gym.evaluation.comparison import CONFIDENCE
 
-    if len(metrics[0].carried) > 1:
+    if comparisons[0].draws > 1:
         print(f"± and brackets: {CONFIDENCE:.0%} confidence over draws")
-    ended = sum(int(of_policy.ended.sum()) for of_policy in metrics)
+    ended = 0
+    for comparison in comparisons:
+        ended += sum(int(metrics.ended.sum()) for metrics in comparison.metrics)
     if ended:
         rule = "the remaining steps count with the termination radius as error"
         print(f"{options.counted(ended, 'episode')} ended early: {rule}")
-
-
-def _change(fraction: Estimate) -> str:
-    """Relative change as text. A reduction has a minus sign."""
-    ends = (fraction.mean, fraction.high, fraction.low)
-    mean, low, high = (f"{round(-end, 2) + 0.0:+.0%}" for end in ends)  # + 0.0 avoids "-0%"
-    return f"{mean} [{low}, {high}]" if fraction.high > fraction.low else mean
+    not_isolated = comparisons[0].not_isolated
+    if not_isolated:
+        print(f"not isolated: {', '.join(not_isolated)}: {options.NOT_ISOLATED}")

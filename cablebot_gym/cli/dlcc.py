@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -17,21 +16,6 @@ if TYPE_CHECKING:
     from cablebot_gym.policies import LoadedPolicy
 
 
-class CriterionChoice(StrEnum):
-    """Choices of ``--criterion``."""
-
-    task = "task"
-    paper = "paper"
-    both = "both"
-
-
-class SearchChoice(StrEnum):
-    """Choices of ``--search``."""
-
-    scan = "scan"
-    bisection = "bisection"
-
-
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions(Options):
     """The search for the payload."""
@@ -39,10 +23,10 @@ class SearchOptions(Options):
     title: ClassVar[str] = "Search"
 
     criterion: Annotated[
-        CriterionChoice,
+        str,
         "Success criterion: task (saturated torques; position, rotation and tension), "
         "paper (torques within the limits without saturation; position and slack), or both.",
-    ] = CriterionChoice.both
+    ] = "both"
     payload_max: Annotated[
         float | None,
         "Largest payload of the scan [kg]. The default is the end of the robot's payload range, or slightly "
@@ -53,10 +37,10 @@ class SearchOptions(Options):
         "Resolution of the payload [kg]. The default is 0.001 for one draw and 0.01 for several.",
     ] = None
     search: Annotated[
-        SearchChoice,
+        str,
         "scan, or bisection for policies that take seconds for an episode: it tries few payloads, and its "
         "result is unranked.",
-    ] = SearchChoice.scan
+    ] = "scan"
     draws: options.Draws = None
     probability: Annotated[
         float, "Required success probability of the payload over the draws, with 95 % confidence."
@@ -91,12 +75,10 @@ def dlcc(
     folders = {name: _folder(out, name, names) for name in names}
     for folder in folders.values():
         options.check_figure_folder(folder, "result.json")
-    has_isolated = any(options.isolates(name, conditions.wrappers, isolate) for name in names)
-    conditions = options.with_seed(conditions, is_secret=has_isolated)
     robot = options.robot_of(env_id, conditions)
-    policies = []
-    for name in names:
-        policies.append(options.loaded_policy(name, robot, conditions.wrappers, isolate=isolate))
+    policies = options.loaded_policies(names, robot, conditions.wrappers, isolate=isolate)
+    has_isolated = any(policy.isolated for policy in policies)
+    conditions = options.with_seed(conditions, is_secret=has_isolated)
     data: list[dict[str, Any]] = []
     for loaded in policies:
         results = _results(loaded, env_id, conditions, search)
@@ -119,15 +101,15 @@ def _folder(out: Path | None, name: str, names: list[str]) -> Path | None:
     return out / name
 
 
-def _criteria(policy: LoadedPolicy, search: SearchOptions) -> tuple[list[str], list[str]]:
-    """The criteria to evaluate, and those in ``both`` that do not apply to the policy."""
+def _criteria(policy: LoadedPolicy, search: SearchOptions) -> list[str]:
+    """The criteria to evaluate: of ``both``, those that apply to the policy."""
     from cablebot_gym.evaluation.judge import CRITERIA
 
-    if search.criterion is not CriterionChoice.both:
-        return [search.criterion.value], []
+    if search.criterion != "both":
+        return [search.criterion]
     if not policy.declarations.unsaturated_actions:
-        return ["task"], ["paper"]
-    return list(CRITERIA), []
+        return ["task"]
+    return list(CRITERIA)
 
 
 def _results(
@@ -135,9 +117,9 @@ def _results(
 ) -> list[DLCCResult]:
     from cablebot_gym.evaluation.evaluator import evaluate_dlcc
 
-    settings = asdict(search) | {"search": search.search.value}
+    settings = asdict(search)
     results = []
-    for criterion in _criteria(policy, search)[0]:
+    for criterion in _criteria(policy, search):
         settings["criterion"] = criterion
         results.append(
             evaluate_dlcc(policy, env_id, progress=True, **settings, **conditions.keywords())
@@ -162,7 +144,7 @@ def _print_results(
     conditions: options.ConditionOptions,
     search: SearchOptions,
 ) -> None:
-    print_payloads(results, _criteria(policy, search)[1])
+    print_payloads(results, search)
     for result in results:
         if result.details.violation_seed is not None and not result.details.stochastic:
             command = options.command_again(
@@ -177,19 +159,13 @@ def _print_results(
             print(f"{result.criterion}: this command repeats the failure:\n  {command}")
 
 
-def print_payloads(results: list[DLCCResult], inapplicable: list[str]) -> None:
-    """Prints a table of the evaluations of one policy.
-
-    Args:
-        results: one evaluation for each criterion; at least one.
-        inapplicable: names of the criteria that do not apply to the policy.
-    """
-
+def print_payloads(results: list[DLCCResult], search: SearchOptions) -> None:
+    """Prints a table of the evaluations of one policy, one for each criterion that applies to it."""
     rows = [["criterion", "payload", "total mass", "limiting violation", "margins at that payload"]]
     rows += [_row(result) for result in results]
-    for criterion in inapplicable:
+    if search.criterion == "both" and len(results) == 1:
         reason = "not applicable: the policy does not declare unsaturated_actions"
-        rows.append([criterion, "n/a", "–", reason, "–"])
+        rows.append(["paper", "n/a", "–", reason, "–"])
     motion = results[0].details.environment["trajectory"].get("name", "")
     print_table(results[0].describe(motion), rows, right=False)
     for note in _notes(results):
@@ -243,11 +219,7 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     if not (score.isolated or details.shipped):
         notes.append(f"not isolated: {options.NOT_ISOLATED}")
     if score.assured is not None:
-        if any(result.payload is not None for result in results):
-            notes.append(f"payload: {score.assurance}")
-        for result in results:
-            if result.payload is None and result.draws > 1:
-                notes.append(_unloaded(result))
+        notes.append(f"payload: {score.assurance}")
     if score.assured is False:
         fewest = fewest_draws(details.probability or 0.95, details.confidence or 0.95)
         notes.append(f"a lower tolerance bound needs at least {fewest} draws")
@@ -258,29 +230,11 @@ def _notes(results: list[DLCCResult]) -> list[str]:
     return notes
 
 
-def _unloaded(result: DLCCResult) -> str:
-    from cablebot_gym.evaluation.statistics import required_successes
-
-    needed, _ = required_successes(
-        result.draws, result.details.probability or 0.95, result.details.confidence or 0.95
-    )
-    failed = sum(result.details.failures.values())
-    return f"{result.criterion}: fails unloaded in {failed} of {result.draws} draws; {needed} have to succeed"
-
-
 def _margins_text(result: DLCCResult) -> str:
-    torque = result.details.margins["torque"]
-    position = result.details.margins["position"]
-    parts = [f"torque {torque:.1%}"]
-    if torque < 0:
-        parts = [f"torque saturates, |a| = {1 - torque:.3f}"]
-    parts += [f"position {position:.1%}"]
-    if "rotation" in result.details.margins:
-        parts.append(f"rotation {result.details.margins['rotation']:.1%}")
-    if "overload" in result.details.margins:
-        parts.append(f"maximum tension {result.details.margins['overload']:.1%}")
-    parts.append(f"tension ≥ {result.details.margins['tension']:.1f} N")
-    text = ", ".join(parts)
+    margins = dict(result.details.margins)
+    tension = margins.pop("tension")
+    parts = [f"{name} {margin:.1%}" for name, margin in margins.items()]
+    text = ", ".join([*parts, f"tension ≥ {tension:.1f} N"])
     if result.draws > 1:
         text += " (least over the draws that carry it)"
     return text

@@ -5,43 +5,29 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator
-from dataclasses import MISSING, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from importlib.resources import files
 from itertools import pairwise
 from typing import Any
 
 from cablebot_gym.utils.console import print_table
 
-_WIDTH = 110
-"""Largest width of the tables [columns]."""
-
-_UNITS: dict[str, dict[str, str]] = tomllib.loads(
+_UNITS: dict[str, str] = tomllib.loads(
     (files("cablebot_gym.cli") / "units.toml").read_text(encoding="utf-8")
 )
-"""Unit of each field of trajectories and uncertainties that has one."""
+"""Unit of each field of trajectories that has one."""
 
 
 def list_() -> None:
     """List environments, robots, trajectories, uncertainties and installed policies.
 
-    The tables of trajectories and uncertainties show the fields and default values of
-    `--trajectory` and `--uncertainty` as JSON.
+    The tables of trajectories and uncertainties show fields of `--trajectory` and `--uncertainty`
+    as JSON.
 
     Example: cablebot list
     """
-    from rich import box
-
     for _, title, rows in tables():
-        print_table(
-            title,
-            rows,
-            right=False,
-            width=_WIDTH,
-            box=box.SIMPLE_HEAD,
-            show_edge=False,
-            pad_edge=False,
-        )
-        print()
+        print_table(title, rows, right=False)
 
 
 def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
@@ -50,7 +36,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     from cablebot_gym.task import to_jsonable
 
     if isinstance(trajectory, BetweenDwells):
-        dwell = {"default": trajectory.dwell, "unit": _UNITS["trajectory"]["dwell"]}
+        dwell = {"default": trajectory.dwell, "unit": _UNITS["dwell"]}
         return _trajectory_fields(trajectory.motion) | {"dwell": dwell}
     if not is_dataclass(trajectory):
         return {}
@@ -59,7 +45,7 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     for field in sorted(fields(trajectory), key=lambda field: field.name != "duration"):
         if field.name == "name":
             continue
-        unit = _UNITS["trajectory"].get(field.name, "")
+        unit = _UNITS.get(field.name, "")
         if is_plane_or_point:
             unit = unit.partition(",")[0]  # no angles
         default = None
@@ -69,52 +55,25 @@ def _trajectory_fields(trajectory: Any) -> dict[str, dict[str, Any]]:
     return entries
 
 
-def _uncertainty_fields(name: str) -> list[dict[str, Any]]:
-    """Path, value, unit and environments of each field that a named uncertainty sets.
-
-    A field whose value depends on the robot has one entry for each value.
-    """
-    from cablebot_gym.envs import ENV_IDS
-    from cablebot_gym.robots import find_robot
-    from cablebot_gym.uncertainty import find_uncertainty
-
-    entries: list[dict[str, Any]] = []
-    for env_id in ENV_IDS:
-        uncertainty = find_uncertainty(name, find_robot(env_id))
-        for path, (value, unit) in _set_values(uncertainty).items():
-            for entry in entries:
-                if (entry["field"], entry["value"]) == (path, value):
-                    entry["env_ids"].append(env_id)
-                    break
-            else:
-                entries.append({"field": path, "value": value, "unit": unit, "env_ids": [env_id]})
-    groups = ("parameters", "wrench", "sensors", "sensor_bias", "delay")
-    return sorted(entries, key=lambda entry: groups.index(entry["field"].partition(".")[0]))
-
-
-def _set_values(uncertainty: Any) -> dict[str, tuple[Any, str]]:
-    """Value and unit of each field that an uncertainty sets, by its path in JSON. A parameter omits
-    default values."""
-    from cablebot_gym.uncertainty import PARAMETERS
-
-    values: dict[str, tuple[Any, str]] = {}
+def _set_values(uncertainty: Any) -> Iterator[tuple[str, Any]]:
+    """Path in JSON and value of each field that an uncertainty sets. Default values are left out."""
     for name, distribution in uncertainty.parameters.items():
-        changed = {}
-        for field in fields(distribution):
-            value = getattr(distribution, field.name)
-            if value != field.default:
-                changed[field.name] = value
-        unit = "" if distribution.relative else PARAMETERS[name].unit
-        values[f"parameters.{name}"] = (changed, unit)
+        yield f"parameters.{name}", dict(_changed(distribution))
     for group in ("wrench", "sensors", "sensor_bias"):
         record = getattr(uncertainty, group)
         if record is not None:
-            for field in fields(record):
-                unit = _UNITS["uncertainty"].get(field.name, "")
-                values[f"{group}.{field.name}"] = (getattr(record, field.name), unit)
+            for name, value in _changed(record):
+                yield f"{group}.{name}", value
     if uncertainty.delay:
-        values["delay"] = (uncertainty.delay, _UNITS["uncertainty"]["delay"])
-    return values
+        yield "delay", uncertainty.delay
+
+
+def _changed(record: Any) -> Iterator[tuple[str, Any]]:
+    """Name and value of each field that is not at its default."""
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if value != field.default:
+            yield field.name, value
 
 
 def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
@@ -122,12 +81,7 @@ def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     yield "ids", "Environments", _environment_rows()
     yield "robots", "Robots", _robot_rows()
     yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _trajectory_rows()
-    yield "uncertainties", "Uncertainties", _uncertainty_rows()
-    title = (
-        "Fields of an uncertainty in JSON\nFractions refer to the nominal value; "
-        'with "relative": false, the unit is that of the parameter.'
-    )
-    yield "uncertainty-fields", title, _uncertainty_field_rows()
+    yield "uncertainties", "Uncertainties, without fields at their defaults", _uncertainty_rows()
     yield "parameters", "Uncertain parameters", _parameter_rows()
     yield "installed-policies", "Policies", _policy_rows()
 
@@ -146,14 +100,10 @@ def _environment_rows() -> list[list[str]]:
 def _robot_rows() -> list[list[str]]:
     from cablebot_gym.robots import find_robot, robot_names
 
-    rows = [["name", "kind", "cables", "transmission", "values with a source"]]
+    rows = [["name", "kind", "cables", "transmission"]]
     for name in robot_names():
         robot = find_robot(name)
-        values = "the paper"  # in the code, which cites its tables
-        if robot.sources:
-            assumed = [text for text in robot.sources.values() if text.startswith("assumed")]
-            values = f"{len(robot.sources) - len(assumed)} of {len(robot.sources)}"
-        rows.append([name, robot.kind, str(robot.cables), robot.springs, values])
+        rows.append([name, robot.kind, str(robot.cables), robot.springs])
     return rows
 
 
@@ -174,36 +124,21 @@ def _trajectory_rows() -> list[list[str]]:
 
 def _uncertainty_rows() -> list[list[str]]:
     from cablebot_gym.envs import ENV_IDS
-    from cablebot_gym.uncertainty import UNCERTAINTIES
+    from cablebot_gym.robots import find_robot
+    from cablebot_gym.uncertainty import UNCERTAINTIES, find_uncertainty
 
     rows = [["name", "field", "value"]]
     for name in UNCERTAINTIES:
-        entries = _uncertainty_fields(name)
-        for entry in entries:
-            value = f"{_json_text(entry['value'])} {entry['unit']}".strip()
-            if len(entry["env_ids"]) < len(ENV_IDS):
-                value += f" ({_short_ids(entry['env_ids'])} only)"
-            rows.append([name, entry["field"], value])
-        if not entries:
+        env_ids_of: dict[tuple[str, str], list[str]] = {}
+        for env_id in ENV_IDS:
+            for path, value in _set_values(find_uncertainty(name, find_robot(env_id))):
+                env_ids_of.setdefault((path, _json_text(value)), []).append(env_id)
+        for (path, text), env_ids in sorted(env_ids_of.items()):
+            if len(env_ids) < len(ENV_IDS):
+                text += f" ({_short_ids(env_ids)} only)"
+            rows.append([name, path, text])
+        if not env_ids_of:
             rows.append([name, "–", "no uncertainty"])
-    return _without_repeats(rows)
-
-
-def _uncertainty_field_rows() -> list[list[str]]:
-    from cablebot_gym.uncertainty import ExternalWrench, ParameterDistribution, SensorNoise
-
-    groups = {
-        "parameters.NAME": ParameterDistribution,
-        "wrench": ExternalWrench,
-        "sensors": SensorNoise,
-        "sensor_bias": SensorNoise,
-    }
-    rows = [["group", "field", "default", "unit"]]
-    for group, kind in groups.items():
-        for item in fields(kind):
-            default = "required" if item.default is MISSING else _json_text(item.default)
-            rows.append([group, item.name, default, _UNITS["uncertainty"].get(item.name, "")])
-    rows.append(["delay", "–", "0", _UNITS["uncertainty"]["delay"]])
     return _without_repeats(rows)
 
 

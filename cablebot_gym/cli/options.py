@@ -13,12 +13,11 @@ import typer
 
 from cablebot_gym.cli.records import Options
 from cablebot_gym.utils.checks import number
-from cablebot_gym.utils.console import command_line, say
+from cablebot_gym.utils.console import command_line
 from cablebot_gym.utils.files import read_text
 from cablebot_gym.utils.foreign import foreign_json
 
 if TYPE_CHECKING:
-    from cablebot_gym.motions import Trajectory
     from cablebot_gym.policies import LoadedPolicy
     from cablebot_gym.robots import Robot
 
@@ -30,7 +29,7 @@ FittingEnvId = Annotated[
         "shows all.",
     ),
 ]
-"""The id of a command, for :func:`fitting_id` or :func:`id_and_file`."""
+"""The id of a command, for :func:`fitting_id`."""
 
 _POLICY = (
     "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
@@ -92,13 +91,6 @@ LEAST_BOUND = 0.1
 """Least valid error bound [mm, mrad]. A smaller value is probably in metres or radians."""
 
 
-class FileData(dict[str, Any]):
-    """Data of a .json file."""
-
-    source: str
-    """The file, which stands for the data on a command line."""
-
-
 def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     """The value of an option: JSON or the content of a .json file as data, and any other text
     unchanged.
@@ -107,11 +99,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
         ValueError: if the file cannot be read, or the JSON is invalid.
     """
     option = f"--{parameter.name}"
-    source = text or ""
-    is_file = source.lower().endswith(".json")
-    if is_file:
+    if text is not None and text.lower().endswith(".json"):
         try:
-            text = read_text(source)
+            text = read_text(text)
         except OSError as error:
             raise ValueError(
                 f"{option}: cannot read {text!r} ({error.strerror or error})"
@@ -123,13 +113,9 @@ def _read_data(parameter: typer.CallbackParam, text: str | None) -> Any:
     if text is None or not text.lstrip().startswith("{"):
         return text
     try:
-        data = foreign_json(text)
+        return foreign_json(text)
     except ValueError as error:
         raise ValueError(f"{option} is not valid JSON: {error}") from error
-    if is_file:
-        data = FileData(data)
-        data.source = source
-    return data
 
 
 TrajectoryData = Annotated[
@@ -265,23 +251,6 @@ def fitting_id(env_id: str | None, robot: str | None) -> str:
     return fitting_env_id(robot)
 
 
-def id_and_file(env_id: str | None, out: Path | None, robot: str | None) -> tuple[str, Path]:
-    """The environment id and the file of a command with both. A single argument is the file where
-    ``--robot`` determines the id.
-
-    Raises:
-        ValueError: if one of them is missing.
-    """
-    if out is None and env_id is not None and robot is not None:
-        out = Path(env_id)
-        env_id = None
-    if out is None:
-        raise ValueError(
-            "give an environment id, or a robot with --robot, and then a file to write"
-        )
-    return fitting_id(env_id, robot), out
-
-
 def with_seed(conditions: ConditionOptions, *, is_secret: bool) -> ConditionOptions:
     """The options with a secret seed if they have none and a policy is isolated."""
     if conditions.seed is None and is_secret:
@@ -301,27 +270,19 @@ def command_again(
         options: further options, as for :func:`~cablebot_gym.utils.console.command_line`.
     """
     for item in fields(conditions):
-        name = item.name
         value = getattr(conditions, item.name)
-        if name == "payload_known":  # its flag is --payload-unknown
+        if item.name == "payload_known":  # its flag is --payload-unknown
             options["payload_unknown"] = not value
-            continue
-        is_default = value == item.default
-        if name == "seed" and value == 0:  # None stands for 0
-            is_default = True
-        if is_default:
-            continue
-        if name in ("position_bound", "rotation_bound"):
-            value = f"{value:.12g}"  # 10 in place of 10.0
-        options[name] = value
+        elif value != item.default:
+            options[item.name] = value
     return command_line(command, *arguments, **options)
 
 
 def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     """The robot in ``--robot``, or that of the environment.
 
-    Imports and checks the motion, and prints a note if it has waypoints. The import has to precede
-    the start of an isolated policy, which inherits the search path of modules.
+    Imports and checks the motion. The import has to precede the start of an isolated policy, which
+    inherits the search path of modules.
 
     Raises:
         ValueError: if the id is unknown, the robot does not fit, or there is no such motion.
@@ -334,83 +295,38 @@ def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
     check_robot(env_id, conditions.robot)
     robot = find_robot(conditions.robot or env_id)
     trajectory = conditions.trajectory or default_trajectory(robot)
-    note_waypoints(robot, find_trajectory(trajectory, robot.kind))
+    find_trajectory(trajectory, robot.kind)
     return robot
 
 
-def note_waypoints(robot: Robot, trajectory: Trajectory) -> None:
-    """Prints the largest speeds and accelerations of a motion through waypoints and its largest
-    distance from the lines between them, which its file does not show."""
-    import numpy as np
-
-    from cablebot_gym.motions import Waypoints
-
-    motion = getattr(trajectory, "motion", trajectory)
-    if not isinstance(motion, Waypoints):
-        return
-    d = robot.dimensions
-    reference = motion(np.linspace(0.0, motion.duration, 20 * len(motion.times) + 1))
-    texts = [f"{motion.name}: {counted(len(motion.times), 'waypoint')} in {motion.duration:.4g} s"]
-    for name, rates, unit in (
-        ("speed", reference.velocity, "/s"),
-        ("acceleration", reference.acceleration, "/s²"),
-    ):
-        peak = f"{np.linalg.norm(rates[:, :d], axis=1).max():.3g} m{unit}"
-        if robot.coordinates > d:
-            peak += f" and {np.abs(rates[:, d:]).max():.3g} rad{unit}"
-        texts.append(f"largest {name} {peak}")
-    farthest, time, _ = motion.deviation(d)
-    texts.append(f"at most {1e3 * farthest:.4g} mm from the lines between them, after {time:.2f} s")
-    say("; ".join(texts))
-
-
-def isolates(name: str, wrappers: Sequence[str], isolate: bool | None) -> bool:
-    """Whether ``--isolate`` puts a policy with a name and its wrappers in a process of its own."""
-    from cablebot_gym.policies import PolicySpec
-
-    if isolate is not None:
-        return isolate
-    return bool(wrappers) or not PolicySpec.parse(name).shipped
-
-
-def loaded_policy(
-    name: str, robot: Robot, wrappers: Sequence[str] = (), *, isolate: bool | None
-) -> LoadedPolicy:
-    """The policy with a name, made for a robot, in a process of its own where ``--isolate`` asks for
-    it.
-
-    Raises:
-        ValueError: if the policy cannot be loaded.
-    """
-    from cablebot_gym.isolation import IsolatedPolicy
-    from cablebot_gym.policies import load
-
-    if isolates(name, wrappers, isolate):
-        return IsolatedPolicy(name, robot, wrappers=wrappers).loaded
-    return load(name, robot, wrappers=wrappers)
-
-
 def loaded_policies(
-    names: list[str], robot: Robot, wrappers: Sequence[str], *, isolate: bool | None
+    names: Sequence[str], robot: Robot, wrappers: Sequence[str], *, isolate: bool | None
 ) -> list[LoadedPolicy]:
-    """The policies with these names, made for a robot. The wrappers apply to those that are not
-    installed.
+    """The policies with these names, made for a robot, in processes of their own where ``--isolate``
+    asks for them. The wrappers apply to those that are not installed.
 
     Raises:
         ValueError: if there is no policy, if one cannot be loaded, or if there are wrappers and only
             installed policies.
     """
-    from cablebot_gym.policies import PolicySpec
+    from cablebot_gym.isolation import IsolatedPolicy
+    from cablebot_gym.policies import PolicySpec, load
 
     if not names:
         raise ValueError("name at least one policy, such as fl")
-    installed = [PolicySpec.parse(name).installed for name in names]
-    if wrappers and all(installed):
+    specs = [PolicySpec.parse(name) for name in names]
+    if wrappers and all(spec.installed for spec in specs):
         raise ValueError(f"--wrapper does not apply to installed policies, such as {names[0]}")
     policies = []
-    for name, is_installed in zip(names, installed, strict=True):
-        layers = () if is_installed else wrappers
-        policies.append(loaded_policy(name, robot, layers, isolate=isolate))
+    for name, spec in zip(names, specs, strict=True):
+        layers = () if spec.installed else wrappers
+        is_isolated = isolate
+        if is_isolated is None:
+            is_isolated = bool(layers) or not spec.shipped
+        if is_isolated:
+            policies.append(IsolatedPolicy(name, robot, wrappers=layers).loaded)
+        else:
+            policies.append(load(name, robot, wrappers=layers))
     return policies
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from cablebot_gym.cli.options import Workers, counted
 from cablebot_gym.utils.console import progress, say
-
-if TYPE_CHECKING:
-    from cablebot_gym.report.recording import ReplayResult
 
 TITLE = "Payloads of cable robots"
 """Title of the page."""
@@ -38,8 +36,7 @@ def report(
     """Write benchmark results as one HTML page with leaderboard and an episode of every row.
 
     The page works offline. Recording an episode takes a second or two, and longer for policies that
-    plan. Recordings are stored in the folder `episodes` beside the results. The same command
-    resumes an interrupted recording.
+    plan.
 
     Examples:
 
@@ -49,27 +46,24 @@ def report(
     """
     from cablebot_gym.benchmark.store import read_all
     from cablebot_gym.report.page import html, merged_rows, replay_queries
-    from cablebot_gym.report.recording import FOLDER, record_all
-    from cablebot_gym.utils.files import atomic_write_text, check_writable_dir, check_writable_file
-    from cablebot_gym.utils.workers import check_workers
+    from cablebot_gym.report.replay import Replay, record_row
+    from cablebot_gym.utils.files import atomic_write_text, check_writable_file
+    from cablebot_gym.utils.workers import WorkerDied, check_workers, run
 
     processes = check_workers(workers)
     if out.suffix != ".html":
         raise ValueError(f"--out must end in .html, such as report.html, not {str(out)!r}")
     sources = [suite for path in results for suite in read_all(path)]
     check_writable_file(out)
-    folder = results[0]
-    if not folder.is_dir():
-        folder = folder.parent
-    folder /= FOLDER
-    replays: dict[str, ReplayResult] = {}
+    replays: dict[str, list[Replay] | str] = {}
     if episodes:
-        check_writable_dir(folder)
-        queries = replay_queries(merged_rows(sources))
+        jobs = {}
+        for key, row in replay_queries(merged_rows(sources)).items():
+            jobs[key] = partial(record_row, row)
         with progress("recording", "episodes") as step:
-            for key, replay in record_all(queries, folder, workers=processes, say=say):
-                replays[key] = replay
-                step(len(replays), len(queries))
+            for key, recorded in run(jobs, workers=processes, say=say, returned=(WorkerDied,)):
+                replays[key] = str(recorded) if isinstance(recorded, WorkerDied) else recorded
+                step(len(replays), len(jobs))
     page = html(TITLE, sources, replays)
     atomic_write_text(out, page)
     failures = Counter(replay for replay in replays.values() if isinstance(replay, str))

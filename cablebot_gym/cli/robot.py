@@ -19,10 +19,8 @@ from cablebot_gym.cli.options import (
     TrajectoryData,
     command_again,
     counted,
-    note_waypoints,
 )
 from cablebot_gym.utils.console import say
-from cablebot_gym.utils.user_code import sentence_of_user_code
 
 if TYPE_CHECKING:
     from cablebot_gym.bounds.robot_check import MotionCheck, PayloadLimit, RobotCheck
@@ -39,8 +37,8 @@ def check(
     """Check a robot and its motion.
 
     The check prints payloads, workspace, modes, physics step, sag, and cables that touch. Nothing
-    is simulated. The exit status is 1 if the robot or the motion is refused, or if no controller can
-    be expected to carry the payload.
+    is simulated. The exit status is 1 if no controller can be expected to carry the payload, and 2
+    if the robot or the motion is invalid.
 
     Examples:
 
@@ -51,58 +49,29 @@ def check(
     if out is not None and out.suffix not in (".svg", ".png", ".pdf"):
         raise ValueError(f"--out must end in .svg, .png or .pdf, not {out.name!r}")
     from cablebot_gym.bounds.robot_check import check_model, check_motion
+    from cablebot_gym.robots import find_robot
 
-    model = _loaded(name)
-    if model is None:
-        raise typer.Exit(1)
+    model = find_robot(name)
     robot_check = check_model(model, payload=payload)
-    if not as_json:  # before the motion, which may be refused
+    if not as_json:  # before the motion, which may be invalid
         print("\n".join(report(robot_check)), flush=True)
-    motion = None
-    refusal = ""
-    try:
-        motion = check_motion(model, payload=payload, trajectory=trajectory)
-        note_waypoints(model, motion.trajectory)
-    except ValueError as error:
-        refusal = sentence_of_user_code(error) or str(error)
+    motion = check_motion(model, payload=payload, trajectory=trajectory)
     if as_json:
-        data = {"held": False, "refused": refusal, "questions": []}
-        if motion is not None:
-            data = motion.to_dict()
-        print(json.dumps(robot_check.to_dict() | data, indent=2))
-    elif motion is not None:
+        print(json.dumps(robot_check.to_dict() | motion.to_dict(), indent=2))
+    else:
         law = "composite" if model.flexible else "fl"
         evaluation = command_again(
             "dlcc", policy=law, conditions=ConditionOptions(robot=name, trajectory=trajectory)
         )
         print("\n".join(motion_report(robot_check, motion, evaluation)))
-    if motion is None:
-        say(f"motion refused: {refusal}", style="red")
     if out is not None:
         _draw(robot_check, motion, out)
         say(f"wrote {out}")
-    if motion is None or not motion.possible:
+    if not motion.possible:
         raise typer.Exit(1)
 
 
-def _loaded(name: str) -> Robot | None:
-    """The robot, or None with a message if the data of a file are refused.
-
-    Raises:
-        ValueError: if the file cannot be read, or there is no robot with this name.
-    """
-    from cablebot_gym.robots import find_robot
-
-    try:
-        return find_robot(name)
-    except ValueError as error:
-        if not Path(name).is_file():
-            raise
-        say(f"refused: {error}", style="red")
-        return None
-
-
-def _draw(check: RobotCheck, motion: MotionCheck | None, out: Path) -> None:
+def _draw(check: RobotCheck, motion: MotionCheck, out: Path) -> None:
     from cablebot_gym.plotting.figures import DPI
     from cablebot_gym.plotting.robots import draw_robot
     from cablebot_gym.utils.files import atomic_write

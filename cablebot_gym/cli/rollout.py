@@ -12,7 +12,7 @@ from cablebot_gym.cli.options import (
     Payload,
     PolicyName,
     fitting_id,
-    loaded_policy,
+    loaded_policies,
     robot_of,
 )
 
@@ -53,7 +53,7 @@ def rollout(
     env_id = fitting_id(env_id, conditions.robot)
     robot = robot_of(env_id, conditions)
     payload = robot.defaults.payload(payload)
-    loaded = loaded_policy(policy, robot, conditions.wrappers, isolate=isolate)
+    (loaded,) = loaded_policies([policy], robot, conditions.wrappers, isolate=isolate)
     record = record_rollout(
         loaded,
         env_id,

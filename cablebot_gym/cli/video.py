@@ -1,18 +1,16 @@
-"""``cablebot video``, and what ``cablebot watch`` and ``cablebot picture`` share with it."""
+"""``cablebot video``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from cablebot_gym.cli.options import (
     ConditionOptions,
     FittingEnvId,
     Payload,
     PolicyNames,
-    id_and_file,
+    fitting_id,
     loaded_policies,
     robot_of,
     split_names,
@@ -23,14 +21,8 @@ from cablebot_gym.video import SPEED
 if TYPE_CHECKING:
     from cablebot_gym.video.recording import Episode
 
-Speed = Annotated[float, typer.Option("--speed", help="Playback speed; 1 is real time.")]
-Size = Annotated[
-    str | None,
-    typer.Option("--size", help="Size of the picture of each policy, such as 1280x960 [pixels]."),
-]
 
-
-def pixels(size: str | None) -> tuple[int, int]:
+def _pixels(size: str | None) -> tuple[int, int]:
     """Width and height from ``--size``.
 
     Raises:
@@ -47,58 +39,57 @@ def pixels(size: str | None) -> tuple[int, int]:
 
 
 def video(
-    policy: PolicyNames,
-    conditions: ConditionOptions,
+    *,
     env_id: FittingEnvId = None,
+    policy: PolicyNames,
     out: Annotated[
-        Path | None, typer.Argument(metavar="FILE", help="File to write, ending in .mp4 or .gif.")
-    ] = None,
+        Path, "File to write, ending in .mp4 or .gif for a video, in .png for a picture."
+    ],
+    conditions: ConditionOptions,
     payload: Payload = None,
-    size: Size = None,
-    speed: Speed = SPEED,
+    size: Annotated[
+        str | None, "Size of the picture of each policy, such as 1280x960 [pixels]."
+    ] = None,
+    speed: Annotated[float, "Playback speed; 1 is real time."] = SPEED,
+    time: Annotated[
+        float | None,
+        "Time of a picture [s]; 0 shows the start pose. The default is the end, with the whole path.",
+    ] = None,
 ) -> None:
-    """Write a video of an episode, with one or more policies side by side.
+    """Write a video or a picture of an episode, with one or more policies side by side.
 
     Needs neither a display nor OpenGL. Requires the extra: pip install 'cablebot-gym[render]'.
 
     Examples:
 
-    cablebot video CableBot-Spatial-v0 fl.mp4 --policy fl --payload 4
+    cablebot video CableBot-Spatial-v0 --out fl.mp4 --policy fl --payload 4
 
-    cablebot video CableBot-Spatial-v0 both.gif --policy fl,trajopt --payload 6 --size 480x360
+    cablebot video CableBot-Spatial-v0 --out both.gif --policy fl,trajopt --payload 6 --size 480x360
+
+    cablebot video CableBot-Spatial-v0 --out fl.png --policy fl --payload 6 --time 0.65
     """
-    from cablebot_gym.video.recording import check_speed, check_video, write_video
+    from cablebot_gym.video.recording import check_video, note, write_picture, write_video
 
-    width_and_height = pixels(size)
-    env_id, out = id_and_file(env_id, out, conditions.robot)
-    check_video(out)
-    check_speed(speed)
-    episodes = record_episodes(env_id, policy, payload, conditions)
-    with progress("rendering", "frames") as step:
-        write_video(out, episodes, speed=speed, size=width_and_height, progress=step)
-    print_verdicts(episodes)
+    width_and_height = _pixels(size)
+    env_id = fitting_id(env_id, conditions.robot)
+    check_video(out, speed)
+    if time is not None and out.suffix != ".png":
+        raise ValueError(f"--time is for a picture: name a .png file, not {str(out)!r}")
+    episodes = _record_episodes(env_id, policy, payload, conditions)
+    if out.suffix == ".png":
+        write_picture(out, episodes, time=time, size=width_and_height)
+    else:
+        with progress("rendering", "frames") as step:
+            write_video(out, episodes, speed=speed, size=width_and_height, progress=step)
+    for title, rollout in episodes:
+        print(f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
     say(f"wrote {out}")
 
 
-def print_verdicts(episodes: list[Episode]) -> None:
-    """Prints whether each payload was carried."""
-    from cablebot_gym.video.recording import note
-
-    for title, rollout in episodes:
-        print(f"{title}, {rollout.payload:g} kg, task criterion: {note(rollout, len(rollout) - 1)}")
-
-
-def record_episodes(
+def _record_episodes(
     env_id: str, policy: str, payload: float | None, conditions: ConditionOptions
 ) -> list[Episode]:
-    """Records one episode of each policy.
-
-    Args:
-        env_id: environment id.
-        policy: names of policies, separated by commas.
-        payload: payload [kg]; None for the least one of the robot's payload range.
-        conditions: conditions of the episode.
-    """
+    """Records one episode of each policy."""
     from cablebot_gym.envs import described
     from cablebot_gym.evaluation.rollout import record_rollout
     from cablebot_gym.rendering.painter import import_pygame

@@ -98,7 +98,7 @@ class Pictures:
         if self._window is None:
             from cablebot_gym.rendering.window import Window
 
-            self._window = Window(self._title, needs_display=False)
+            self._window = Window(self._title)
         if not self._window.closed:
             self._window.show(self._painter(0).paint(moment, trail, note), RATE)
 

@@ -55,16 +55,6 @@ DEPENDENT = (
 """End of an error about a policy. Gets the difference that shows it."""
 
 
-_FOREIGN: dict[str, None] = {}
-"""Names of the policies that are neither shipped nor isolated and have run in this process."""
-
-
-def foreign_policies() -> tuple[str, ...]:
-    """Names of the policies that are neither shipped nor isolated and have run in this process: they
-    could have changed every later evaluation."""
-    return tuple(_FOREIGN)
-
-
 class EpisodeSpec(NamedTuple):
     """One episode."""
 
@@ -240,13 +230,8 @@ class Batch:
         self.task: Task = self.tasks[0]
         """Task of the first motion."""
         robot = deepcopy(conditions.nominal_robot)
-        self.foreign_before = foreign_policies()
-        """Names of the policies that are neither shipped nor isolated and ran in this process
-        before."""
         self.policy: LoadedPolicy = load(policy, robot, name=name, wrappers=wrappers)
         """The policy."""
-        if not (self.policy.shipped or self.policy.isolated):
-            _FOREIGN[self.policy.name] = None
         self._check_policy()
         random = conditions.model_error.random or self.policy.declarations.stochastic
         self.random = random or conditions.further.get("initial_error_range") is not None

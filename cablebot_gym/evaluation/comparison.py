@@ -17,12 +17,10 @@ from cablebot_gym.evaluation.batch import (
     Batch,
     EpisodeSpec,
     StepCount,
-    foreign_policies,
     versions,
 )
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.rollout import Rollout, record
-from cablebot_gym.evaluation.statistics import interval
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import LoadedPolicy, Wrapper, name_of
 from cablebot_gym.task import Task
@@ -121,12 +119,14 @@ class PolicyMetrics:
     def success(self) -> Estimate:
         """Fraction of the draws that carry the payload, with the confidence interval of Clopper and
         Pearson."""
+        from scipy.stats import binomtest  # slow to import
+
         fraction = float(self.carried.mean())
         draws = len(self.carried)
         if draws == 1:
             return Estimate(mean=fraction, low=fraction, high=fraction)
-        low, high = interval(int(self.carried.sum()), draws, CONFIDENCE)
-        return Estimate(mean=fraction, low=low, high=high)
+        ends = binomtest(int(self.carried.sum()), draws).proportion_ci(CONFIDENCE)
+        return Estimate(mean=fraction, low=float(ends.low), high=float(ends.high))
 
 
 QUANTITIES = {
@@ -159,9 +159,6 @@ class Comparison(Result):
     isolated: bool
     """Whether each policy ran in a process of its own. Otherwise one could change the evaluation of
     all, and every later one of this process."""
-    foreign_before: tuple[str, ...]
-    """Names of the policies that are neither shipped nor isolated and ran in this process before. They
-    could have changed this comparison."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
@@ -229,7 +226,6 @@ class Comparison(Result):
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
             "isolated": self.isolated,
-            "foreign_before": list(self.foreign_before),
             "error_bounds": vars(self.conditions.bounds),
             "environment": self.environment,
             "versions": versions(),
@@ -261,8 +257,6 @@ class Comparison(Result):
             )
         if self.not_isolated:
             lines.append(f"not isolated: {', '.join(self.not_isolated)}")
-        if self.foreign_before:
-            lines.append(f"after {', '.join(self.foreign_before)} in this process")
         return "\n".join(lines)
 
 
@@ -345,16 +339,10 @@ def compare_policies(
     """
     labels = _labels(policies, names)
     wrappers_of = [()] * len(labels) if wrappers is None else list(wrappers)
-    if len(wrappers_of) != len(labels):
-        raise ValueError(
-            f"wrappers must have one list for each of the {len(labels)} policies, "
-            f"not {len(wrappers_of)}"
-        )
     payload = number("payload", payload, least=0, unit="kg")
     shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []
     isolated = True
-    foreign_before = foreign_policies()
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
@@ -370,7 +358,6 @@ def compare_policies(
         payload=payload,
         draw_seeds=tuple(batch.seeds),
         isolated=isolated,
-        foreign_before=foreign_before,
         metrics=tuple(metrics),
         environment=batch.environment(),
         task=batch.task,

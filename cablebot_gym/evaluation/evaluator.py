@@ -200,7 +200,6 @@ def _details(
         stochastic=batch.policy.declarations.stochastic,
         shipped=batch.policy.shipped,
         bubblewrap=batch.policy.bubblewrap,
-        foreign_before=batch.foreign_before,
         declared=conditions.criterion == "paper" and not batch.policy.shipped,
         wrappers=batch.policy.wrappers,
         environment=batch.environment(),

@@ -4,8 +4,8 @@ holds the true state."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from dataclasses import dataclass, fields
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -22,7 +22,6 @@ CRITERIA = ("task", "paper")
 (|a| ≤ 1, position, slack)."""
 
 ViolationKind = Literal["torque", "slack", "overload", "position", "rotation", "terminated"]
-KINDS: tuple[ViolationKind, ...] = get_args(ViolationKind)
 """Kinds of violations in the order in which the judge checks them."""
 
 LIMIT_NAMES: Mapping[str, str] = {
@@ -35,9 +34,6 @@ LIMIT_NAMES: Mapping[str, str] = {
 }
 """Name of the violated limit for each kind of violation, for tables. A cable below its least
 tension need not be slack."""
-
-NEAR = 0.9
-"""Fraction of a limit at which the lead of a violation begins."""
 
 _REASONS = np.array(TERMINATION_REASONS)
 
@@ -69,10 +65,11 @@ class Violation:
     a motor cannot hold the robot at the start; else empty."""
     bound: float | None = None
     """Bound of the error [m or rad] or of the tension [N]; None if the limit has none."""
-    lead: float | None = None
-    """How early the violation could be foreseen [s]: the time before it in which the quantity was
-    above :data:`NEAR` times its limit, or the least tension below its limit over :data:`NEAR`. None
-    for ``terminated``, for a limit without a bound, and at the start."""
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Violation:
+        """The violation of a stored row, which may have further fields."""
+        return cls(**{item.name: data[item.name] for item in fields(cls) if item.name in data})
 
     def __str__(self) -> str:
         if self.time is None:
@@ -169,7 +166,6 @@ class Judge:
         self._peak_action = np.zeros((count, cables))
         self._least_tension = np.zeros(count)
         self._largest_tension = np.zeros(count)
-        self._near_since = {kind: np.full(count, np.inf) for kind in KINDS}
 
     @property
     def carried(self) -> NDArray[np.bool_]:
@@ -209,8 +205,6 @@ class Judge:
         self._peak_action[mask] = 0.0
         self._least_tension[mask] = np.inf
         self._largest_tension[mask] = 0.0
-        for since in self._near_since.values():
-            since[mask] = np.inf
         self.failed[mask] = False
         if self.criterion == "task" and task.starts_at_rest:
             margin = info["torque_margin"]
@@ -241,14 +235,12 @@ class Judge:
         np.minimum(self._least_tension, tension, out=self._least_tension, where=running)
         if self.criterion == "paper":
             largest_action = action.max(axis=1)
-            self._approach("torque", largest_action >= NEAR, info["action_time"], running)
             saturated = running & ~is_unsaturated(largest_action)
             if saturated.any():
                 motor = action.argmax(axis=1)
                 excess = -np.take_along_axis(info["torque_margin"], motor[:, None], 1)[:, 0]
                 self._fail("torque", saturated, info["action_time"], index=motor + 1, excess=excess)
         bound = self._lower_tension_bound
-        self._approach("slack", NEAR * tension <= bound, time, running)
         below_bound = running & ~is_taut(tension, bound)
         if below_bound.any():
             cable = info["least_tensions"].argmin(axis=1)
@@ -289,23 +281,9 @@ class Judge:
         **columns: ArrayLike,
     ) -> None:
         """Checks an upper bound. ``columns`` are further fields of the violation."""
-        self._approach(kind, value >= NEAR * bound, time, running)
         beyond = running & ~within_bound(value, bound)
         if beyond.any():
             self._fail(kind, beyond, time, excess=value - bound, bound=bound, **columns)
-
-    def _approach(
-        self,
-        kind: ViolationKind,
-        is_near: NDArray[np.bool_],
-        time: Array,
-        running: NDArray[np.bool_],
-    ) -> None:
-        """Keeps the time since which a quantity has been near its limit; ∞ if it is not near
-        now."""
-        since = self._near_since[kind]
-        latest = np.where(is_near, np.minimum(since, time), np.inf)
-        np.copyto(since, latest, where=running)
 
     def _fail(
         self, kind: ViolationKind, mask: NDArray[np.bool_], time: Array, **values: ArrayLike
@@ -316,31 +294,25 @@ class Judge:
         self.failed |= fresh
         columns = {name: np.broadcast_to(column, fresh.shape) for name, column in values.items()}
         for env_index in np.flatnonzero(fresh).tolist():
-            fields: dict[str, Any] = {"index": None, "excess": None, "time": time[env_index].item()}
+            given: dict[str, Any] = {"index": None, "excess": None, "time": time[env_index].item()}
             for name, column in columns.items():
-                fields[name] = column[env_index].item()
-            near_since = self._near_since[kind][env_index].item()
-            if np.isfinite(near_since):
-                fields["lead"] = fields["time"] - near_since
+                given[name] = column[env_index].item()
             # a slack cable without a tension bound has the bound −∞
-            if not np.isfinite(fields.get("bound", 0.0)):
-                fields["bound"] = None
-            self._violations[env_index] = Violation(kind=kind, **fields)
-
-    def violation(self, env_index: int) -> Violation | None:
-        """The first violation of one episode; None without a violation."""
-        if not self.failed[env_index]:  # reset() clears only the mask
-            return None
-        return self._violations[env_index]
+            if not np.isfinite(given.get("bound", 0.0)):
+                given["bound"] = None
+            self._violations[env_index] = Violation(kind=kind, **given)
 
     def verdict(self, env_index: int) -> Verdict:
         """Outcome of one episode up to the present step."""
         tension = float(self._least_tension[env_index])
         if not np.isfinite(tension):
             tension = 0.0
+        violation = None
+        if self.failed[env_index]:  # reset() clears only the mask
+            violation = self._violations[env_index]
         return Verdict(
             carried=bool(self.carried[env_index]),
-            violation=self.violation(env_index),
+            violation=violation,
             payload=float(self.payload[env_index]),
             peak_action=tuple(self._peak_action[env_index].tolist()),
             position_peak=float(self._position_peak[env_index]),

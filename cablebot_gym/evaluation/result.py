@@ -54,9 +54,6 @@ class Details:
     bubblewrap: bool
     """Whether the process of an isolated policy ran behind bubblewrap, without network and without
     writing files."""
-    foreign_before: tuple[str, ...]
-    """Names of the policies that are neither shipped nor isolated and ran in this process before. They
-    could have changed this evaluation."""
     declared: bool
     """Whether only the policy itself says that its actions are not saturated (paper criterion). A
     test holds shipped policies to it."""
@@ -73,7 +70,6 @@ class Details:
         data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
         for name in ("feasible", "success"):
             data[name] = [list(pair) for pair in data[name]]
-        data["foreign_before"] = list(data["foreign_before"])
         wrappers = list(data.pop("wrappers"))
         return data | ({"wrappers": wrappers} if wrappers else {})
 
@@ -165,19 +161,6 @@ class DLCCResult(Result):
             return f"none up to {self.details.payload_max:g} kg"
         return str(self.violation)
 
-    @property
-    def trust(self) -> list[str]:
-        """What a reader should know about the process of the evaluation; empty for a shipped policy
-        in a process in which no other policies ran."""
-        words = []
-        if self.isolated:
-            words.append("isolated" if self.details.bubblewrap else "isolated without bubblewrap")
-        elif not self.details.shipped:
-            words.append("not isolated")
-        if self.details.foreign_before:
-            words.append(f"after {', '.join(self.details.foreign_before)} in this process")
-        return words
-
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data: the score, the conditions and the details, without the episode."""
         violation = None if self.violation is None else asdict(self.violation)
@@ -212,7 +195,12 @@ class DLCCResult(Result):
             parts.append(f"behind {', '.join(self.details.wrappers)}")
         if not self.ranked:
             parts.append("unranked (bisection)")
-        return ", ".join([*parts, *self.trust])
+        if self.isolated:
+            protection = "" if self.details.bubblewrap else " without bubblewrap"
+            parts.append(f"isolated{protection}")
+        elif not self.details.shipped:
+            parts.append("not isolated")
+        return ", ".join(parts)
 
     def __str__(self) -> str:
         criterion = [f"{self.criterion} criterion"]

@@ -17,7 +17,6 @@ from cablebot_gym.evaluation.batch import (
     ALONE,
     BATCH,
     DEPENDENT,
-    RISK,
     STOCHASTIC_ALONE,
     Batch,
     EpisodeSpec,
@@ -28,9 +27,7 @@ from cablebot_gym.evaluation.batch import (
 )
 from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.evaluation.motion_search import (
-    REFINED_JITTER,
     REFINED_POINTS,
-    SCAN_JITTER,
     SCAN_POINTS,
     MotionSearch,
     SearchPlan,
@@ -38,7 +35,7 @@ from cablebot_gym.evaluation.motion_search import (
 )
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
+from cablebot_gym.evaluation.statistics import fewest_draws, required_successes
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.utils.console import Progress
 
@@ -58,6 +55,9 @@ REPEATED_DRAWS = STOCHASTIC_ALONE
 DIAGNOSES = 3
 """Largest number of further runs of the scan that look for randomness after a repeated episode
 differs."""
+
+BATCHES = 8
+"""Usual number of batches, for the progress only."""
 
 FINER = 10
 """Factor of the number of physics steps in the episodes that measure the discretisation error."""
@@ -151,18 +151,9 @@ class Search:
         )
         self._motion = MotionSearch(plan, payload_max, self._rng)
         self._grid = self._motion.grid
-        # Estimated number of batches, for the progress only. Shifted payloads are at most
-        # 1 + 2 · jitter distances apart.
-        scan_gap = (1 + 2 * SCAN_JITTER) * payload_max / points
-        narrowing = (refined_points + 1) / (1 + 2 * REFINED_JITTER)
-        refinements = math.log(max(1.0, scan_gap / resolution)) / math.log(narrowing)
-        batches = 3 + max(1, math.ceil(refinements))
-        if is_scan:
-            batches += 1
-        if self._is_drawn and batch.policy.declarations.stochastic:
-            batches += 1 + STOCHASTIC_ALONE
-        elif self._is_drawn:
-            batches += 2 + plausible_successes(self._required, batch.draws, ALONE, RISK)
+        batches = BATCHES
+        if self._is_drawn:
+            batches += STOCHASTIC_ALONE if batch.policy.declarations.stochastic else ALONE
         self._count = StepCount(progress, batches * batch.task.steps)
 
     def run(self) -> SearchOutcome:
@@ -218,9 +209,10 @@ class Search:
                 return below, above
             if below is None:
                 assert above is not None
-                lower = [max(payload for payload in self._grid if payload < above.payload)]
-                verdicts = self._batch.run(_rows(lower, self._batch.seeds), count=self._count)
-                self._motion.store(_trials(lower, self._batch.seeds, verdicts))
+                lower = max(payload for payload in self._grid if payload < above.payload)
+                seeds = tuple(self._batch.seeds)
+                verdicts = tuple(self._batch.run(_rows([lower], seeds), count=self._count))
+                self._motion.store([Trial(payload=lower, verdicts=verdicts, seeds=seeds)])
                 continue
             alone = self._batch.try_alone(below.payload, draws, required, self._count)
             if alone.carried >= required:
@@ -355,13 +347,3 @@ class Search:
 
 def _rows(payloads: Sequence[float], seeds: Sequence[int]) -> list[EpisodeSpec]:
     return [EpisodeSpec(payload, seed) for payload in payloads for seed in seeds]
-
-
-def _trials(payloads: Sequence[float], seeds: Sequence[int], verdicts: _Verdicts) -> list[Trial]:
-    draws = len(seeds)
-    trials = []
-    for index, payload in enumerate(payloads):
-        start = index * draws
-        drawn = tuple(verdicts[start : start + draws])
-        trials.append(Trial(payload=payload, verdicts=drawn, seeds=tuple(seeds)))
-    return trials

@@ -23,14 +23,6 @@ def lower_bound(successes: ArrayLike, draws: int, confidence: float) -> Array:
     return np.where(successes > 0, quantile, 0.0)
 
 
-def interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
-    """Two-sided confidence interval of the success probability (Clopper and Pearson)."""
-    one_sided = (1 + confidence) / 2
-    low = lower_bound(successes, draws, one_sided)
-    failure_bound = lower_bound(draws - successes, draws, one_sided)
-    return float(low), 1 - float(failure_bound)
-
-
 @cache
 def mid_p_interval(successes: int, draws: int, confidence: float) -> tuple[float, float]:
     """Two-sided mid-P interval of the success probability.

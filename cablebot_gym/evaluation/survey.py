@@ -38,7 +38,6 @@ from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.utils.checks import number, whole
-from cablebot_gym.utils.results import Printed
 
 ROBOTS = 19
 """Default number of random robots of each motion."""
@@ -94,8 +93,8 @@ class MotionPayload:
         return None if self.above is None else self.above.violation
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SurveyResult(Printed):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SurveyResult:
     """The payloads of a policy over several motions."""
 
     motions: tuple[MotionPayload, ...]
@@ -107,9 +106,6 @@ class SurveyResult(Printed):
     def payloads(self) -> Array:
         """Payloads of the motions [kg], (motions,); 0 where a robot fails unloaded."""
         return np.array([motion.payload or 0.0 for motion in self.motions])
-
-    def __str__(self) -> str:
-        return f"{len(self.motions)} motions, {np.mean(self.payloads):.3f} kg on average"
 
 
 def survey(

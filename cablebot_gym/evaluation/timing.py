@@ -12,7 +12,7 @@ from cablebot_gym.evaluation.batch import Batch, EpisodeSpec
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics.compiling import compiled_at_once
-from cablebot_gym.policies.protocol import Policy, declarations, name_of, reset_policy
+from cablebot_gym.policies.protocol import Policy, reset_policy
 from cablebot_gym.task import Task
 from cablebot_gym.utils.checks import number
 
@@ -29,8 +29,6 @@ class TimedPolicy:
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self.name = name_of(policy)
-        self.unsaturated_actions, self.stochastic, self.measurement = declarations(policy)
         self.times: list[float] = []
         """Times of the actions of the present episode [s]."""
         self.reset_time = 0.0
@@ -42,7 +40,7 @@ class TimedPolicy:
         """Resets the policy."""
         self.times = []
         start = time.perf_counter()
-        reset_policy(self._policy, self.name, lambda: tasks)
+        reset_policy(self._policy, "", lambda: tasks)
         self.reset_time = time.perf_counter() - start
 
     def predict(self, *arguments: Any, **keywords: Any) -> tuple[Array, Any]:

@@ -109,9 +109,9 @@ class IsolatedPolicy:
         policy."""
         self.alone = described.get("alone") is True
         """Whether each episode runs alone, because a wrapper wraps a single environment."""
-        self._notes = _texts(described.get("notes"))
-        for note in self._notes:
-            say(name, note)
+        self._note = plain(described.get("note", ""))
+        if self._note:
+            say(name, self._note)
         self.fallbacks: float | None = 0.0 if described.get("fallbacks") is True else None
         """Number of fallbacks that the policy has counted; None if it does not count them."""
 
@@ -126,7 +126,7 @@ class IsolatedPolicy:
             isolated=True,
             bubblewrap=self.bubblewrap,
             wrappers=self.wrappers,
-            notes=self._notes,
+            note=self._note,
         )
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -257,7 +257,7 @@ def _absolute(name: str) -> str:
     file, _, attribute = name.rpartition(":")
     if file.endswith(".py"):
         return f"{os.path.abspath(file)}:{attribute}"
-    if name.endswith((*POLICY_SUFFIXES, ".pkl", ".py")):
+    if name.endswith((*POLICY_SUFFIXES, ".pkl")):
         return os.path.abspath(name)
     return name
 

@@ -119,7 +119,7 @@ class _Server:
         self._state = None
         declared = declarations(self._policy)
         described = declared._asdict() | {
-            "notes": loaded.notes,
+            "note": loaded.note,
             "wrappers": loaded.wrappers,
             "alone": loaded.alone,
             "fallbacks": hasattr(self._policy, "fallbacks"),

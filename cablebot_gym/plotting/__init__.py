@@ -9,10 +9,8 @@ from cablebot_gym.plotting.comparison import (
     save_comparison,
 )
 from cablebot_gym.plotting.figures import (
-    draw_path,
     draw_result,
     draw_rollout,
-    draw_springs,
     draw_success,
     draw_torques,
     save_figures,
@@ -21,12 +19,10 @@ from cablebot_gym.plotting.robots import draw_robot
 
 __all__ = [
     "draw_comparison",
-    "draw_path",
     "draw_payload_comparison",
     "draw_result",
     "draw_robot",
     "draw_rollout",
-    "draw_springs",
     "draw_success",
     "draw_torques",
     "figure_png",

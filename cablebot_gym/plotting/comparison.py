@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -52,24 +52,18 @@ def draw_comparison(comparison: Comparison) -> Figure:
     if not comparison.task.robot.point_mass:
         errors.append(("rotation", "mrad", "rotation", "max_rotation"))
     figure = new_figure(1.6 + 2.6 * len(errors))
-    share_x: Literal["col", False] = "col"
-    if len(errors) == 2:
-        share_x = False
-    grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.6, 1], sharex=share_x)
+    grid = figure.subplots(len(errors), 2, squeeze=False, width_ratios=[1.6, 1])
     for (over_time, largest), (name, unit, series, peak) in zip(grid, errors, strict=True):
         bound = getattr(comparison.conditions.bounds, name)
         peaks = [getattr(metrics, peak).max() for metrics in comparison.metrics]
         _over_time(over_time, comparison, series)
         _distribution(largest, comparison, peak)
         top = 1.05 * float(max(peaks))
-        note = "above the plotted range"
         # Otherwise the curves would be flat.
         if bound <= BOUND_IN_VIEW * max(peaks):
-            over_time.axhline(1e3 * bound, color="black", linewidth=1.0)
             largest.axvline(1e3 * bound, color="black", linewidth=1.0)
-            note = "black line"
             top = max(top, 1.1 * bound)
-        _set_bound_title(over_time, bound, unit, note)
+        _draw_bound(over_time, bound, unit)
         over_time.set(ylim=(0, 1e3 * top or 1.0), ylabel=f"{name} error [{unit}]")
         largest.set(
             xlabel=f"largest {name} error [{unit}]", ylabel="fraction of draws", ylim=(0, 1.02)
@@ -118,8 +112,7 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
         axes.set_ylabel(label)
     bounds = vars(common.conditions.bounds).values()
     for axes, bound, unit in zip(panels[:-2], bounds, ("mm", "mrad"), strict=False):
-        axes.axhline(1e3 * bound, color="black", linewidth=1.0)
-        _set_bound_title(axes, bound, unit, "black line")
+        _draw_bound(axes, bound, unit)
     for axes in panels[:-1]:
         axes.set_ylim(bottom=0)
     panels[-1].set(xlabel="payload [kg]", ylim=(-4, 104))
@@ -131,9 +124,12 @@ def draw_payload_comparison(comparison: PayloadComparison) -> Figure:
     return figure
 
 
-def _set_bound_title(axes: Axes, bound: float, unit: str, note: str) -> None:
-    """States a bound above a panel. ``unit`` is a thousandth of the SI unit."""
-    axes.set_title(f"bound {1e3 * bound:g} {unit}: {note}", fontsize=10, loc="right", color=GREY)
+def _draw_bound(axes: Axes, bound: float, unit: str) -> None:
+    """Draws a bound, and states it above the panel. ``unit`` is a thousandth of the SI unit."""
+    axes.axhline(1e3 * bound, color="black", linewidth=1.0)
+    axes.set_title(
+        f"bound {1e3 * bound:g} {unit}: black line", fontsize=10, loc="right", color=GREY
+    )
 
 
 def _line(index: int) -> dict[str, Any]:

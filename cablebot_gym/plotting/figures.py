@@ -44,10 +44,6 @@ LINE_LENGTH = 112
 _HANDLE = 6
 """Width of the line sample in a legend [characters]."""
 
-_FEW = 20
-"""Largest number of steps for which every step is drawn as a dot, because a line would be too
-short."""
-
 
 def import_matplotlib() -> ModuleType:
     """Imports ``matplotlib.figure``. A command calls this first, so that it fails before a long
@@ -123,7 +119,6 @@ class TravelledPath:
             "color": self.color,
             "linestyle": self.style,
             "linewidth": 1.8,
-            "marker": _marker(self.times),
         }
 
 
@@ -135,18 +130,6 @@ def draw_torques(result: DLCCResult) -> Figure:
     """
     figure = new_figure(torques_height(result.rollout.task.robot.cables))
     _draw_torques(figure, result.rollout)
-    _set_result_title(figure, result)
-    return figure
-
-
-def draw_path(result: DLCCResult) -> Figure:
-    """Draws the path with the tube around its reference, and the tracking errors with their bounds.
-
-    Raises:
-        ImportError: if matplotlib is missing; the message names the command that installs it.
-    """
-    figure = new_figure(_PATH_HEIGHT)
-    _draw_path(figure, result.rollout, result.details.error_bounds)
     _set_result_title(figure, result)
     return figure
 
@@ -186,36 +169,6 @@ def _draw_both(rollout: Rollout, bounds: Mapping[str, float | None]) -> Figure:
     return figure
 
 
-def draw_springs(result: DLCCResult) -> Figure:
-    """Draws the deflection of each joint spring over time, and its mean.
-
-    Raises:
-        ImportError: if matplotlib is missing; the message names the command that installs it.
-        ValueError: if the robot has no joint springs, or its cables stretch.
-    """
-    rollout = result.rollout
-    deflections = rollout.arrays.get("spring_deflection")
-    if deflections is None:
-        raise ValueError(
-            f"robot {rollout.task.robot.name!r} has no joint springs with cables that do not stretch"
-        )
-    springs = deflections.shape[1]
-    figure = new_figure(torques_height(springs))
-    times = rollout.arrays["time"]
-    span = _span(times, _end(rollout))
-    panels = _panel_grid(figure, springs, "spring", "deflection [rad]")
-    label = "motor angle minus pulley angle"
-    marker = _marker(times)
-    for deflection, axes in zip(deflections.T, panels, strict=True):
-        axes.axhline(0.0, color="black", linewidth=1.0, label="no torque")
-        axes.axhline(deflection.mean(), color=GREY, linewidth=1.0, linestyle="--", label="mean")
-        axes.plot(times, deflection, color=BLUE, linewidth=1.4, marker=marker, label=label)
-        axes.set(xlim=span)
-    add_legend(figure, panels[0])
-    _set_result_title(figure, result)
-    return figure
-
-
 def draw_success(result: DLCCResult) -> Figure:
     """Draws the fraction of the scan's draws that carry each payload, the required probability and
     the payload.
@@ -227,7 +180,7 @@ def draw_success(result: DLCCResult) -> Figure:
     details = result.details
     if details.probability is None:
         raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
-    figure = new_figure(_SUCCESS_HEIGHT)
+    figure = new_figure(_PATH_HEIGHT)
     axes = figure.subplots()
     payload, fraction = np.array(details.success).T
     label = "fraction of the scan's draws that carry it"
@@ -247,11 +200,8 @@ def draw_success(result: DLCCResult) -> Figure:
 
 
 def save_figures(result: DLCCResult, folder: str | Path) -> list[Path]:
-    """Writes ``torques-<criterion>.png`` and ``path-<criterion>.png``.
-
-    Several draws add ``success-<criterion>.png``, and joint springs ``springs-<criterion>.png``.
-
-    An interrupted call leaves no partial file.
+    """Writes ``result-<criterion>.png``, and with several draws ``success-<criterion>.png``. An
+    interrupted call leaves no partial file.
 
     Args:
         result: the result to draw.
@@ -263,11 +213,9 @@ def save_figures(result: DLCCResult, folder: str | Path) -> list[Path]:
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figures = {"torques": draw_torques(result), "path": draw_path(result)}
+    figures = {"result": draw_result(result)}
     if result.details.probability is not None:
         figures["success"] = draw_success(result)
-    if "spring_deflection" in result.rollout.arrays:
-        figures["springs"] = draw_springs(result)
     paths = []
     for name, figure in figures.items():
         path = Path(folder, f"{name}-{result.criterion}.png")
@@ -281,8 +229,8 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     atomic_write(path, partial(figure.savefig, dpi=DPI, format="png"))
 
 
-_PATH_HEIGHT, _SUCCESS_HEIGHT = 4.4, 4.4
-"""Heights of figures [inch]."""
+_PATH_HEIGHT = 4.4
+"""Height of a figure with one row of panels [inch]."""
 
 
 def torques_height(cables: int) -> float:
@@ -306,20 +254,20 @@ def set_title(figure: FigureBase, *lines: str) -> None:
     figure.suptitle(title, fontsize=11, parse_math=False)
 
 
-def _panel_grid(figure: FigureBase, count: int, title: str, quantity: str) -> list[Axes]:
-    """A numbered panel for each motor or spring, in rows of up to three panels with common axes."""
+def _motor_panels(figure: FigureBase, count: int) -> list[Axes]:
+    """A numbered panel for each motor, in rows of up to three panels with common axes."""
     columns = min(3, count)
     rows = math.ceil(count / columns)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
     for axes in panels[count:]:
         axes.remove()
     for index, axes in enumerate(panels[:count]):
-        axes.set_title(f"{title} {index + 1}", fontsize=11)
+        axes.set_title(f"motor {index + 1}", fontsize=11)
         if index + columns >= count:
             axes.set_xlabel("time [s]")
             axes.tick_params(labelbottom=True)  # also above a removed panel
         if index % columns == 0:
-            axes.set_ylabel(quantity)
+            axes.set_ylabel("torque [N·m]")
     return list(panels[:count])
 
 
@@ -362,7 +310,7 @@ def _draw_torques(figure: FigureBase, rollout: Rollout) -> None:
         lower=lower,
         upper=upper,
         requested=rollout.stall_torque * actions + (lower + upper) / 2,
-        end=_end(rollout),
+        end=float(rollout.arrays["time"][-1]),
     )
     step, motor = np.unravel_index(np.argmax(np.abs(actions)), actions.shape)
     largest = abs(actions[step, motor])
@@ -377,7 +325,6 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     """Draws a panel for each motor with its torque and limits, and a legend. A mark highlights one
     instant."""
     time = profile.times
-    marker = _marker(time)
     # The torque axis shows the limits, and torques up to half a stall torque beyond them.
     drawn = profile.requested
     if drawn is None:
@@ -388,7 +335,7 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
     low = max(min(least, drawn.min()), least - stall / 2) - 0.15 * stall
     high = min(max(most, drawn.max()), most + stall / 2) + 0.15 * stall
     edges = np.pad(time, 1, mode="edge")  # where the outlines of the shaded areas close
-    panels = _panel_grid(figure, profile.torques.shape[1], "motor", "torque [N·m]")
+    panels = _motor_panels(figure, profile.torques.shape[1])
     for motor, axes in enumerate(panels):
         upper = profile.upper[:, motor]
         lower = profile.lower[:, motor]
@@ -397,15 +344,15 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
         axes.fill(edges, beyond, label="infeasible", color=SHADE, linewidth=0)
         beyond = np.pad(lower, 1, constant_values=low)
         axes.fill(edges, beyond, color=SHADE, linewidth=0)
-        axes.plot(time, upper, color="black", linewidth=1.0, marker=marker, label="limits U±")
-        axes.plot(time, lower, color="black", linewidth=1.0, marker=marker)
+        axes.plot(time, upper, color="black", linewidth=1.0, label="limits U±")
+        axes.plot(time, lower, color="black", linewidth=1.0)
         if profile.requested is not None:
             # Where |a| ≤ 1 it equals the applied torque, which hides it.
             requested = profile.requested[:, motor]
             label = "requested torque, where the motor saturates"
             axes.plot(time, requested, "--", color=VERMILLION, linewidth=1.4, label=label)
-        axes.plot(time, torque, color=BLUE, linewidth=1.8, marker=marker, label=profile.name)
-        axes.set(xlim=_span(time, profile.end), ylim=(low, high))
+        axes.plot(time, torque, color=BLUE, linewidth=1.8, label=profile.name)
+        axes.set(xlim=(0.0, profile.end), ylim=(low, high))
         # The last label would touch the first label of the next panel.
         axes.locator_params(axis="x", nbins=5, prune="upper")
     labelled = panels[0]
@@ -413,25 +360,6 @@ def torque_panels(figure: FigureBase, profile: TorqueProfile, mark: Mark | None 
         labelled = panels[mark.motor]
         _draw_mark(labelled, profile, mark)
     add_legend(figure, labelled)
-
-
-def _end(rollout: Rollout) -> float:
-    """End of the last step of the episode [s]."""
-    return float(rollout.arrays["action_time"][-1] + 1 / rollout.task.control_frequency)
-
-
-def _span(times: Array, end: float) -> tuple[float, float]:
-    """Range of the time axis [s]: the recorded episode, with a border if it is very short."""
-    if len(times) <= _FEW:
-        return -0.1 * end, 1.1 * end
-    return 0.0, end
-
-
-def _marker(times: Array) -> str:
-    """Marker of a curve: dots if it is very short."""
-    if len(times) <= _FEW:
-        return "."
-    return ""
 
 
 def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
@@ -449,7 +377,7 @@ def _draw_mark(axes: Axes, profile: TorqueProfile, mark: Mark) -> None:
     # It is on the side with more room.
     x = 0.04
     alignment = "left"
-    if time < sum(_span(profile.times, profile.end)) / 2:
+    if time < profile.end / 2:
         x = 0.96
         alignment = "right"
     axes.plot(
@@ -489,7 +417,7 @@ def _draw_path(figure: FigureBase, rollout: Rollout, bounds: Mapping[str, float 
     if not robot.point_mass:
         rotation_error = arrays["rotation_error"]
     path = TravelledPath(
-        times=arrays["action_time"] + 1 / rollout.task.control_frequency,
+        times=arrays["time"],
         pose=arrays["true_pose"],
         position_error=arrays["tracking_error"],
         rotation_error=rotation_error,
@@ -588,9 +516,8 @@ def _draw_error(
     else:
         mark_bound(axes, bound, unit)
         top = max(top, 1e3 * bound)
-    span = _span(longest, float(longest[-1]))
     end = 1.2 * top or 1.0  # above 0, also without errors
-    axes.set(xlim=span, ylim=(0, end), ylabel=f"{name} error\n[{unit}]")
+    axes.set(xlim=(0.0, longest[-1]), ylim=(0, end), ylabel=f"{name} error\n[{unit}]")
 
 
 def mark_bound(

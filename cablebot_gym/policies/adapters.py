@@ -14,7 +14,6 @@ from cablebot_gym.policies.protocol import (
     Policy,
     declarations,
     name_of,
-    required_arguments,
     reset_policy,
     to_floats,
 )
@@ -87,13 +86,6 @@ class PolicyFactory:
 
     def __init__(self, factory: Callable[[], Any]) -> None:
         self.name = name_of(factory)
-        if isinstance(factory, type):
-            missing = ", ".join(required_arguments(factory))
-            if missing:
-                raise TypeError(
-                    f"PolicyFactory calls {self.name}(), which needs {missing}: "
-                    f"PolicyFactory(lambda: {self.name}({missing}))"
-                )
         self._factory = factory
         self.unsaturated_actions, self.stochastic, self.measurement = declarations(self._make())
         self._instances: list[Policy] = []

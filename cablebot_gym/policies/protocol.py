@@ -153,8 +153,8 @@ class LoadedPolicy:
     """Whether this process runs behind bubblewrap, without network and without writing files."""
     wrappers: tuple[str, ...] = ()
     """Names of the wrappers of the training, the innermost first."""
-    notes: tuple[str, ...] = ()
-    """Sentences for the user, about wrappers that were added without being named."""
+    note: str = ""
+    """A sentence for the user, about a wrapper that was added without being named; may be empty."""
 
     @property
     def alone(self) -> bool:

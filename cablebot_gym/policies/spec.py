@@ -75,8 +75,6 @@ PolicyKind = Literal["installed", "file", "factory", "unknown"]
 class PolicySpec:
     """A policy's name, read without importing or running any code."""
 
-    text: str
-    """The name as on the command line."""
     estimators: tuple[EntryPoint, ...]
     """Installed estimators in front of the policy, the outermost first: ``ekf`` of ``ekf+fl``."""
     target: str
@@ -110,7 +108,6 @@ class PolicySpec:
         elif ":" in target or target.endswith(".py"):
             kind = "factory"
         return cls(
-            text=text,
             estimators=tuple(estimators),
             target=target,
             options=options,
@@ -289,7 +286,7 @@ def load(
         declarations=declarations(made),
         shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
-        notes=(note,) if note else (),
+        note=note,
     )
 
 

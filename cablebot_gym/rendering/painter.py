@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,14 +30,8 @@ SIZE = (640, 480)
 SMALLEST = (320, 240)
 """Smallest width and height [pixels]: text does not fit in smaller pictures."""
 
-LARGEST = (7680, 4320)
-"""Largest width and height [pixels], larger than any screen."""
-
 _OVERSAMPLING = 2
 """Factor by which pictures are painted larger and then scaled down, for smooth edges."""
-
-_SAG_FRACTION = 0.12
-"""Depth of a slack cable's arc, as a fraction of its length."""
 
 _BAR_SPACING = 24
 """Distance between the bars of two motors in the motor panel."""
@@ -53,11 +45,8 @@ _TENSION_COLOURS = np.array(
 """Red, green and blue of cables, from zero tension to the tension that the motor holds at
 standstill."""
 
-_BALL_COLOURS = ((1.0, "#3A3D42"), (0.82, "#4A4E55"), (0.55, "#5F646C"), (0.25, "#858B94"))
-"""Shades of the payload's ball from its edge to its highlight: fraction of the radius, and
-colour."""
-
 _INK = "#202020"
+_STEEL = "#4A4E55"
 _PAPER = "#FFFFFF"
 
 
@@ -79,17 +68,11 @@ def check_size(size: tuple[int, int]) -> tuple[int, int]:
     """The size of a picture [pixels], checked.
 
     Raises:
-        ValueError: if it is below :data:`SMALLEST` or above ``LARGEST``.
+        ValueError: if it is below :data:`SMALLEST`.
     """
-    width, height = size
-    wide_enough = SMALLEST[0] <= width <= LARGEST[0]
-    high_enough = SMALLEST[1] <= height <= LARGEST[1]
-    if not (wide_enough and high_enough):
+    if size[0] < SMALLEST[0] or size[1] < SMALLEST[1]:
         least = f"{SMALLEST[0]} × {SMALLEST[1]}"
-        most = f"{LARGEST[0]} × {LARGEST[1]}"
-        raise ValueError(
-            f"a picture must have between {least} and {most} pixels, not {width} × {height}"
-        )
+        raise ValueError(f"a picture must have at least {least} pixels, not {size[0]} × {size[1]}")
     return size
 
 
@@ -104,7 +87,7 @@ class Painter:
 
     Raises:
         ImportError: if pygame is missing.
-        ValueError: if the size is too small or too large.
+        ValueError: if the size is too small.
     """
 
     def __init__(self, task: Task, title: str = "", size: tuple[int, int] = SIZE) -> None:
@@ -194,9 +177,9 @@ class Painter:
         path = self._camera.project(self._path)
         diameter = 2 * self.task.error_bounds.position
         tube = self._camera.pixels(diameter, self._path.mean(axis=0))
-        for point in _resample(path, max(0.5, tube / 8)):
+        for point in path:
             self._circle(palette.SKY, point, max(tube / 2, 1))
-        self._dashed(path, palette.GREY, 1, 4)
+        self._draw.lines(self._canvas, palette.GREY, False, self._unit * path, round(self._unit))
         centre = base.mean(axis=0)
         for cables in coinciding(self._base):
             anchor = base[cables[0]]
@@ -228,12 +211,12 @@ class Painter:
         for base, end, tension, is_slack in zip(
             self._base, ends, moment.tensions, moment.slack, strict=True
         ):
+            start, stop = self._camera.project([base, end])
             if is_slack:
-                self._paint_slack_cable(base, end)
+                self._line(start, stop, palette.GREY, 0.8)
             else:
                 fraction = float(tension) / full_tension(robot)
                 width = 1.6 + 2.4 * min(max(fraction, 0.0), 1.0)
-                start, stop = self._camera.project([base, end])
                 self._line(start, stop, tension_colour(fraction), width)
         reference = self.task.trajectory(moment.time).position
         target = self._camera.project(points_in_space(robot, reference))
@@ -248,23 +231,7 @@ class Painter:
         if not self.task.robot.planar:
             ball = centre + np.array([0, 0, HANG + radius])
             self._line(camera.project(centre), camera.project(ball), _INK, 1.5)
-        middle = camera.project(ball)
-        size = max(camera.pixels(radius, ball), 2)
-        for fraction, colour in _BALL_COLOURS:
-            shifted = middle - 0.3 * (1 - fraction) * size  # towards the light
-            self._circle(colour, shifted, fraction * size)
-
-    def _paint_slack_cable(self, base: Array, end: Array) -> None:
-        chord = end - base
-        length = float(np.linalg.norm(chord))
-        along = np.linspace(0, 1, 25)[:, None]
-        sag = 4 * _SAG_FRACTION * length * along * (1 - along)
-        direction = np.array([0, 0, 1.0])
-        if self.task.robot.planar:
-            # Planar robots are viewed along the sag direction: draw the arc sideways.
-            direction = np.cross(direction, chord) / max(length, 1e-9)
-        points = self._camera.project(base + along * chord + sag * direction)
-        self._dashed(points, palette.GREY, 1.6, 6)
+        self._circle(_STEEL, camera.project(ball), max(camera.pixels(radius, ball), 2))
 
     def _paint_motors(self, moment: Moment) -> None:
         """Paints a bar of the applied torque for each motor. The scale beyond its present U± is
@@ -345,10 +312,7 @@ class Painter:
         if error > bound:
             colour = palette.VERMILLION
             text_colour = palette.VERMILLION
-        number = "> 1000"
-        if error < 1:
-            number = f"{1e3 * error:.1f}"
-        text = f"{number} of {1e3 * bound:g} {bound_unit}"
+        text = f"{1e3 * error:.1f} of {1e3 * bound:g} {bound_unit}"
         fraction = min(error / bound, _GAUGE_SCALE) / _GAUGE_SCALE
         left_edge, length = self._paint_gauge(name, y, 10, fraction, colour, text, text_colour)
         mark = left_edge + length / _GAUGE_SCALE
@@ -396,13 +360,6 @@ class Painter:
         corners = np.array([start + aside, stop + aside, stop - aside, start - aside])
         self._draw.polygon(self._canvas, colour, self._unit * corners)
 
-    def _dashed(self, points: Array, colour: str, width: float, dash: float) -> None:
-        """Draws a dashed line through points (k, 2)."""
-        pieces = list(pairwise(self._unit * _resample(points, dash)))
-        line_width = round(width * self._unit)
-        for start, stop in pieces[::2]:
-            self._draw.line(self._canvas, colour, start, stop, line_width)
-
     def _write(
         self,
         text: str,
@@ -435,15 +392,3 @@ def tension_colour(fraction: float) -> tuple[int, ...]:
     standstill."""
     fractions = np.linspace(0.0, 1.0, len(_TENSION_COLOURS))
     return tuple(round(np.interp(fraction, fractions, channel)) for channel in _TENSION_COLOURS.T)
-
-
-def _resample(points: Array, step: float) -> Array:
-    """Points on the polyline through points (k, 2), at a distance of about ``step``."""
-    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    lengths = np.concatenate([[0.0], np.cumsum(steps)])
-    total = lengths[-1]
-    count = max(2, math.ceil(total / step))
-    along = np.linspace(0.0, total, count)
-    x = np.interp(along, lengths, points[:, 0])
-    y = np.interp(along, lengths, points[:, 1])
-    return np.stack([x, y], axis=-1)

@@ -14,59 +14,44 @@ if TYPE_CHECKING:
 
 _LOGGER = logging.getLogger("cablebot_gym")
 
-_NO_DISPLAY = "No display for a window: use render_mode='rgb_array', or `cablebot video`."
-
-
-class NoDisplayError(RuntimeError):
-    """There is no display for a window."""
+_NO_DISPLAY = (
+    "No display for a window: use render_mode='rgb_array', or `cablebot video`. The pictures are "
+    "painted but not shown."
+)
 
 
 class Window:
-    """A window that opens with the first picture.
+    """A window that opens with the first picture. Without a display, it uses SDL's dummy driver, as
+    the windows of Gymnasium's own environments do, and writes a log message.
 
     Args:
         caption: title of the window.
-        needs_display: whether to raise an error if there is no display. If False, the window then
-            uses SDL's dummy driver, as the windows of Gymnasium's own environments do, and writes a
-            log message.
 
     Raises:
         ImportError: if pygame is missing.
     """
 
-    def __init__(self, caption: str, *, needs_display: bool = True) -> None:
+    def __init__(self, caption: str) -> None:
         self._pygame = import_pygame()
         self._caption = caption
-        self._needs_display = needs_display
         self._screen: pygame.Surface | None = None
         self._clock = self._pygame.time.Clock()
         self.closed = False
         """Whether the user or :meth:`close` has closed the window."""
 
-    def show(self, picture: pygame.Surface, rate: float) -> list[str]:
-        """Shows a picture, and returns the names of the keys pressed since the last picture.
-
-        The call waits so that at most ``rate`` pictures are shown per second. It has no effect
-        after the window was closed.
-
-        Raises:
-            NoDisplayError: if there is no display and the window needs one.
-        """
+    def show(self, picture: pygame.Surface, rate: float) -> None:
+        """Shows a picture. The call waits so that at most ``rate`` pictures are shown per second. It
+        has no effect after the window was closed."""
         if self.closed:
-            return []
+            return
         if self._screen is None:
             self._screen = self._open(picture.get_size())
-        pressed = []
-        for event in self._pygame.event.get():
-            if event.type == self._pygame.QUIT:
-                self.close()
-                return []
-            if event.type == self._pygame.KEYDOWN:
-                pressed.append(str(self._pygame.key.name(event.key)))
+        if self._pygame.event.get(self._pygame.QUIT):
+            self.close()
+            return
         self._screen.blit(picture, (0, 0))
         self._pygame.display.flip()
         self._clock.tick(rate)
-        return pressed
 
     def _open(self, size: tuple[int, int]) -> pygame.Surface:
         display = self._pygame.display
@@ -79,15 +64,9 @@ class Window:
         except self._pygame.error:
             found = False
         if not found:
-            if self._needs_display:
-                raise NoDisplayError(_NO_DISPLAY)
-            _LOGGER.warning("%s The pictures are painted but not shown.", _NO_DISPLAY)
-            before = os.environ.pop("SDL_VIDEODRIVER", None)
+            _LOGGER.warning(_NO_DISPLAY)
             os.environ["SDL_VIDEODRIVER"] = "dummy"
             display.init()
-            del os.environ["SDL_VIDEODRIVER"]
-            if before is not None:
-                os.environ["SDL_VIDEODRIVER"] = before
         display.set_caption(self._caption)
         return display.set_mode(size)
 

@@ -19,11 +19,9 @@ from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import (
     best_known_text,
-    error_title,
     failures,
     fallbacks,
     heading,
-    limiting_violation,
     motion_title,
     task_title,
 )
@@ -32,15 +30,12 @@ from cablebot_gym.evaluation.judge import LIMIT_NAMES, Violation
 from cablebot_gym.rendering.moment import HANG, full_tension
 from cablebot_gym.rendering.projection import points_in_space, view_direction
 from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
-from cablebot_gym.report.violations import violation_strips
 
-SCRIPTS = ("charts.js", "limits.js", "table.js", "scene.js", "page.js")
+SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
 
 BEST_KNOWN = "best known payload"
 """Label of a best known payload in the policy column."""
-
-NOT_APPLICABLE = "The paper criterion applies only to policies that declare unsaturated_actions; this policy does not."
 
 SHOWN_MOTIONS = 5
 """Number of motions of a family whose episodes the page shows."""
@@ -106,12 +101,9 @@ def page_data(
             rows += _best_known_rows(board, references, cells)
     return {
         "rows": rows,
-        "start": _start(rows, cells.cells),
         "cells": cells.cells,
         "robots": list(cells.robots.values()),
         "motions": list(cells.motions.values()),
-        "limits": _limits(boards),
-        "errors": _errors(merged),
         "notes": _notes(sources, merged),
         "rate": RATE,
         "levels": LEVELS,
@@ -132,21 +124,11 @@ class _Cells:
         label = "DLCC"
         if score.payload is None:
             label = "unloaded"
-        reason = NO_EPISODE
-        if not score.applicable:
-            reason = NOT_APPLICABLE
-        return self.add(score.row, label, _facts(score), reason)
+        return self.add(score.row, label, _facts(score))
 
-    def add(self, row: Row, label: str, facts: list[list[str]], reason: str = NO_EPISODE) -> int:
-        """Adds a row and returns its index.
-
-        Args:
-            row: the row.
-            label: label of its payload.
-            facts: names and texts of its properties.
-            reason: reason for the missing episodes, if neither episodes nor an error message are
-                given.
-        """
+    def add(self, row: Row, label: str, facts: list[list[str]]) -> int:
+        """Adds a row with the label of its payload, and names and texts of its properties. Returns
+        its index."""
         versions = ", ".join(f"{name} {version}" for name, version in row.versions.items())
         data: dict[str, Any] = {
             "title": task_title(row),
@@ -156,9 +138,9 @@ class _Cells:
         }
         replays = self._replays.get(row.key, "")
         if isinstance(replays, str):
-            data |= {"replays": None, "reason": replays or reason}
+            data |= {"replays": None, "reason": replays or NO_EPISODE}
         else:
-            data["replays"] = [replay.to_dict() for replay in replays]
+            data["replays"] = [vars(replay) for replay in replays]
             data["robot"] = _index(self.robots, _robot(row.conditions))
             data["motion"] = _index(self.motions, _motion(row.conditions))
         self.cells.append(data)
@@ -170,32 +152,6 @@ def _index(values: dict[str, dict[str, Any]], value: dict[str, Any]) -> int:
     key = canonical(value)
     values.setdefault(key, value)
     return list(values).index(key)
-
-
-def _start(rows: Sequence[Mapping[str, Any]], cells: Sequence[Mapping[str, Any]]) -> int:
-    """Index of the row that the page opens: the largest payload of a policy on the circle of the
-    first table that has it.
-
-    A row without an episode is opened only if none of these rows has one.
-    """
-
-    def rank(index: int) -> tuple[bool, float]:
-        row = rows[index]
-        payload = row["payload"]
-        if payload is None:
-            payload = -1.0
-        return cells[row["cells"][0]]["replays"] is not None, payload
-
-    if not rows:
-        return 0
-    circles = [row for row in rows if row["motion"] == "circle"]
-    first = [*circles, rows[0]][0]
-    same = ("id", "motion", "condition")
-    shown = []
-    for index, row in enumerate(rows):
-        if row["policy"] != BEST_KNOWN and all(row[name] == first[name] for name in same):
-            shown.append(index)
-    return max(shown, key=rank)
 
 
 def _row(
@@ -225,7 +181,6 @@ def _row(
         "payload": payload,
         "fraction": mean,
         "interval": interval,
-        "note": _note(entry),
         "violation": _violation_text(entry),
         "cells": [indices[score.row.key] for score in entry if score.row.key in indices],
     }
@@ -277,27 +232,13 @@ def _conditions(board: scores.Leaderboard, policy: str, column: Conditions) -> d
     }
 
 
-def _note(entry: Sequence[scores.Score]) -> str:
-    """Reason for a missing fraction; empty if there is a fraction or if another column states the
-    reason."""
-    if not all(score.applicable for score in entry):
-        return "does not declare unsaturated_actions"
-    given = entry[0].conditions
-    if given.criterion != "task" or given.uncertainty:
-        return ""
-    for score in entry:
-        if score.row.error is not None:
-            return ""
-    if all(score.best_known is not None for score in entry):
-        return ""
-    return "no best known payload"
-
-
 def _violation_text(entry: Sequence[scores.Score]) -> str:
     """Limiting violation for one motion; the violated limits and their counts for several
     motions."""
     violations = [
-        Violation(**score.result["violation"]) for score in entry if score.result.get("violation")
+        Violation.from_dict(score.result["violation"])
+        for score in entry
+        if score.result.get("violation")
     ]
     if len(entry) > 1:
         counts = Counter(LIMIT_NAMES[violation.kind] for violation in violations)
@@ -330,12 +271,9 @@ def _facts(score: scores.Score) -> list[list[str]]:
     if score.row.error is not None:
         return [["Error", score.row.error]]
     if not score.applicable:
-        return [["Not applicable", NOT_APPLICABLE]]
+        return []
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    violation = _violation_text([score])
-    if violation:
-        facts.append(["Limiting violation", violation])
     if given.draws:
         verb = "is not assured to be"
         if result.get("assured"):
@@ -348,8 +286,6 @@ def _facts(score: scores.Score) -> list[list[str]]:
         facts.append(["Violations of the draws at a larger payload", counts])
     if score.best_known is not None:
         facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
-    if given.model_payload_factor != 1.0:
-        facts.append(["Payload model", f"{given.model_payload_factor:g} times the nominal payload"])
     return facts
 
 
@@ -392,41 +328,6 @@ def _motion(conditions: Conditions) -> dict[str, Any]:
         "bound": conditions.bounds.position,
         "rotation": conditions.bounds.rotation,
     }
-
-
-def _limits(boards: Sequence[scores.Leaderboard]) -> list[dict[str, Any]]:
-    """The violations of each policy over all robots and motions under the task criterion."""
-    groups: dict[str, list[Mapping[str, Any]]] = {}
-    for board in boards:
-        for (policy, column), entry in board.entries.items():
-            violations = filter(None, map(limiting_violation, entry))
-            if column.criterion == "task":
-                groups.setdefault(policy, []).extend(violations)
-    limits = []
-    for policy, group in groups.items():
-        if group:
-            limits.append({"policy": policy, "strips": violation_strips(group)})
-    return limits
-
-
-def _errors(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """For each error table and policy: payloads with each error alone, 0 if it fails unloaded."""
-    figures = []
-    for table in scores.error_tables(rows):
-        for policy, entries in table.policies.items():
-            bars = []
-            for error, score in zip(table.errors, entries, strict=True):
-                if score is not None and score.row.error is None:
-                    name = error.replace("_", " ")
-                    bars.append(
-                        {
-                            "error": name,
-                            "payload": score.payload or 0.0,
-                            "text": score.payload_text,
-                        }
-                    )
-            figures.append({"title": f"{policy}, {error_title(table)}", "bars": bars})
-    return figures
 
 
 def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, Any]]:

@@ -6,15 +6,13 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cablebot_gym.benchmark.rows import Row, policy_process
 from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation import batch as batches
-from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.evaluation.rollout import Rollout, record, record_rollout
 from cablebot_gym.kinematics import Array
 from cablebot_gym.policies.adapters import OpenLoop
@@ -35,9 +33,6 @@ MIN_EXCESS = 0.1
 LEVELS = 32000
 """Quantisation steps between the minimum and the maximum of a component; they fit into 16 bits."""
 
-
-APPROACH = (0.1, 0.05, 0.02)
-"""Times before a violation at which its margin is stated [s]."""
 
 _RECORDED = (
     "time",
@@ -63,8 +58,7 @@ class Replay:
     carried: bool
     """Whether the policy carries the payload in this episode, by the task criterion."""
     violation: str
-    """First violation and how the margin shrinks before it, as sentences; empty if there is
-    none."""
+    """First violation; empty if there is none."""
     violation_time: float | None
     """Time of the first violation [s]; None if there is none."""
     end: float
@@ -85,16 +79,22 @@ class Replay:
     ``low`` and ``high`` and stored as differences of successive frames: little-endian, compressed
     with zlib, base64-encoded."""
 
-    def to_dict(self) -> dict[str, Any]:
-        """JSON-able data."""
-        return asdict(self)
-
 
 def platform_points(robot: Robot) -> tuple[Array, list[int]]:
     """The distinct anchor points of the platform (k, 2 or 3) [m], and the index of each cable's
     anchor point."""
     points, indices = np.unique(np.round(robot.platform, 12), axis=0, return_inverse=True)
     return points, np.ravel(indices).tolist()
+
+
+def record_row(row: Row) -> list[Replay] | str:
+    """The episodes of a row. An exception becomes an error message; it does not stop the report."""
+    try:
+        if row.measure == "best-known":
+            return best_replays(row)
+        return replays(row)
+    except Exception as error:
+        return f"No episode: {' '.join(str(error).split())}"
 
 
 def replays(row: Row) -> list[Replay]:
@@ -156,7 +156,7 @@ def compress(rollout: Rollout) -> Replay:
     violation_text = ""
     violation_time = None
     if violation is not None:
-        violation_text = f"{violation}. {approach(rollout, violation)}".strip()
+        violation_text = str(violation)
         violation_time = violation.time
     return Replay(
         payload=rollout.payload,
@@ -171,33 +171,6 @@ def compress(rollout: Rollout) -> Replay:
         high=high.tolist(),
         data=base64.b64encode(packed).decode("ascii"),
     )
-
-
-def approach(rollout: Rollout, violation: Violation) -> str:
-    """One sentence on how the margin shrinks before a violation; empty if that is not recorded."""
-    arrays = rollout.arrays
-    errors = {"position": "tracking_error_peak", "rotation": "rotation_error_peak"}
-    if violation.kind in errors and violation.bound is not None:
-        name = errors[violation.kind]
-        subject = "The error"
-        values = 100 * arrays[name] / violation.bound
-        unit = "% of its bound"
-    elif violation.kind in ("slack", "overload") and violation.index is not None:
-        subject = f"The tension of cable {violation.index}"
-        values = arrays["tensions"][:, violation.index - 1]
-        unit = "N"
-    else:
-        return ""
-    times = arrays["time"] - (violation.time or 0.0)
-    margins = []
-    instants = []
-    for before in APPROACH:
-        if times[0] <= -before:
-            margins.append(f"{values[np.searchsorted(times, -before - 1e-9)]:.0f}")
-            instants.append(f"{1e3 * before:.0f}")
-    if not instants:
-        return ""
-    return f"{subject} is {', '.join(margins)} {unit}, {', '.join(instants)} ms before."
 
 
 def _channels(rollout: Rollout, every: int) -> dict[str, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 import sys
@@ -14,8 +13,7 @@ MOST_NAMES = 10
 
 
 def import_object(text: str) -> Any:
-    """The object that ``package.module:name`` or ``folder/file.py:name`` names, or the only public
-    function or class in ``folder/file.py``.
+    """The object that ``package.module:name`` or ``folder/file.py:name`` names.
 
     Raises:
         ValueError: if there is no such file or name; the message lists names of the module.
@@ -39,29 +37,17 @@ def split_name(text: str) -> tuple[str, str]:
     """Module and name of an object. The folder of a ``file.py`` is added to ``sys.path``, so
     workers find it too.
 
-    A file needs no name if it has a single public function or class.
-
     Raises:
         ValueError: if the name is missing, the file does not exist, or another module hides it.
     """
-    source = text
-    attribute = ""
-    if not text.endswith(".py"):
-        source, _, attribute = text.rpartition(":")
+    if text.endswith(".py"):
+        raise ValueError(f"{text!r} needs the name of an object in this file: {text}:NAME")
+    source, _, attribute = text.rpartition(":")
     if not source.endswith(".py"):
         return source, attribute
     path = Path(source).absolute()
     if not path.is_file():
         raise ValueError(f"file {source!r} does not exist")
-    if not attribute:
-        public = _public_names(path)
-        callables = [name for name, is_callable in public.items() if is_callable]
-        if len(callables) != 1:
-            names = ", ".join(f"{source}:{name}" for name in public)
-            raise ValueError(
-                f"{source!r} needs the name of an object in this file. It has {names or 'no function or class yet'}"
-            )
-        attribute = callables[0]
     if str(path.parent) not in sys.path:
         sys.path.append(str(path.parent))
         importlib.invalidate_caches()
@@ -69,20 +55,3 @@ def split_name(text: str) -> tuple[str, str]:
     if spec is None or spec.origin is None or not path.samefile(spec.origin):
         raise ValueError(f"another module is named {path.stem!r}: rename {source!r}")
     return path.stem, attribute
-
-
-def _public_names(path: Path) -> dict[str, bool]:
-    """Public names at the top of a file; True for functions and classes, False for constants."""
-    try:
-        body = ast.parse(path.read_bytes()).body
-    except SyntaxError as error:
-        raise ValueError(
-            f"{path.name!r} is not valid Python: {error.msg}, line {error.lineno}"
-        ) from error
-    names = {}
-    for node in body:
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-            names[node.name] = True
-        elif isinstance(node, ast.Assign):
-            names |= {target.id: False for target in node.targets if isinstance(target, ast.Name)}
-    return {name: is_callable for name, is_callable in names.items() if not name.startswith("_")}

@@ -11,11 +11,10 @@ import os
 import pickle
 import signal
 import sys
-import threading
 import traceback
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -222,26 +221,17 @@ class _Pool:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Defers interrupts of all threads until the end. A process that is started meanwhile never
-    receives any."""
-    received: list[int] = []
-
-    def interrupt() -> None:
-        if received:
-            signal.raise_signal(signal.SIGINT)
-
-    handler = signal.getsignal(signal.SIGINT)
-    with ExitStack() as stack:  # ends in reverse: mask, handler, deferred interrupt
-        stack.callback(interrupt)
-        if handler is not None and threading.current_thread() is threading.main_thread():
-            # Runs in this thread even if another thread receives the signal.
-            signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
-            stack.callback(signal.signal, signal.SIGINT, handler)
-        if hasattr(signal, "pthread_sigmask"):  # child processes inherit the mask
-            resource_tracker.ensure_running()  # its start removes the mask
-            mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            stack.callback(signal.pthread_sigmask, signal.SIG_SETMASK, mask)
+    """Defers interrupts until the end. A process that is started meanwhile never receives any,
+    because processes inherit the mask."""
+    if not hasattr(signal, "pthread_sigmask"):
         yield
+        return
+    resource_tracker.ensure_running()  # its start removes the mask
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _serve(pipe: Connection) -> None:

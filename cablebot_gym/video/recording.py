@@ -1,4 +1,4 @@
-"""Videos and pictures of episodes of policies, side by side, in a file or in a window."""
+"""Videos and pictures of episodes of policies, side by side, in a file."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cablebot_gym.evaluation.rollout import Rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.rendering.painter import SIZE, Painter, as_array, import_pygame
-from cablebot_gym.rendering.window import Window
+from cablebot_gym.rendering.painter import SIZE, Painter, as_array
 from cablebot_gym.utils.checks import number
 from cablebot_gym.utils.files import atomic_write, check_writable_file
 from cablebot_gym.video import SPEED
@@ -28,12 +26,8 @@ GIF_RATE = 25
 END_TIME = 1.0
 """Time for which the last picture is shown [s]."""
 
-SUFFIXES = (".mp4", ".gif")
-"""File name suffixes of the video formats."""
-
-
-PICTURE_SUFFIXES = (".png", ".jpg", ".webp")
-"""File name suffixes of the formats of pictures."""
+SUFFIXES = (".mp4", ".gif", ".png")
+"""File name suffixes of videos and of pictures."""
 
 Episode = tuple[str, Rollout]
 """A title and the recorded episode below it."""
@@ -63,7 +57,7 @@ class VideoPainter:
 
     Raises:
         ImportError: if pygame is missing.
-        ValueError: if the size is too small or too large.
+        ValueError: if the size is too small.
     """
 
     def __init__(self, episodes: Sequence[Episode], size: tuple[int, int] = SIZE) -> None:
@@ -78,18 +72,18 @@ class VideoPainter:
         self.size = (size[0] * len(episodes), size[1])
         """Width and height of all pictures together [pixels]."""
 
-    def surfaces(self, time: float) -> Iterator[Any]:
-        """The picture of each episode at its last moment that is not later than a time [s]."""
+    def array(self, time: float) -> NDArray[np.uint8]:
+        """The pictures of all episodes as one array (height, width, 3), each at its last moment that
+        is not later than a time [s]."""
+        pictures = []
         for rollout, painter in zip(self._rollouts, self._painters, strict=True):
             index = int(np.searchsorted(rollout.arrays["time"], time + 1e-9, side="right"))
             text = note(rollout, index)
             travelled = rollout.arrays["true_pose"][:index]
             trail = np.vstack([rollout.start["true_pose"], travelled])
-            yield painter.paint(rollout.moment(index), trail, text, good=text == "carried")
-
-    def array(self, time: float) -> NDArray[np.uint8]:
-        """All pictures at a time [s] as one array (height, width, 3)."""
-        return np.concatenate([as_array(surface) for surface in self.surfaces(time)], axis=1)
+            surface = painter.paint(rollout.moment(index), trail, text, good=text == "carried")
+            pictures.append(as_array(surface))
+        return np.concatenate(pictures, axis=1)
 
     def times(self, speed: float, rate: float) -> Array:
         """Episode times of all pictures of the video [s]; the last picture is shown for
@@ -104,73 +98,19 @@ class VideoPainter:
         return np.pad(times, (0, round(END_TIME * rate)), constant_values=self.duration)
 
 
-def check_picture(path: str | Path, time: float | None) -> None:
-    """Checks that a picture can be written to a path, and its time.
+def check_video(path: str | Path, speed: float = SPEED) -> None:
+    """Checks that a video or a picture can be written to a path, and the playback speed.
 
     Raises:
-        ValueError: if the suffix is unknown, the path is not writable, or the time is negative.
-        ImportError: if Pillow is missing; the message gives the extra to install.
-    """
-    _check_file(path, PICTURE_SUFFIXES, "picture")
-    if time is not None:
-        number("time", time, least=0, unit="s")
-
-
-def write_picture(
-    path: str | Path,
-    episodes: Sequence[Episode],
-    *,
-    time: float | None = None,
-    size: tuple[int, int] = SIZE,
-) -> None:
-    """Writes a picture of episodes side by side to a ``.png``, ``.jpg`` or ``.webp`` file. The
-    write is atomic.
-
-    Args:
-        path: file to write; its suffix determines the format.
-        episodes: titles and episodes to show, at least one.
-        time: time of the picture [s]; None for the end of the longest episode.
-        size: width and height of the picture of each episode [pixels].
-
-    Raises:
-        ValueError: if the format, the time or the size is invalid, or the time is after the end of
-            all episodes.
-        ImportError: if a package is missing; the message gives the extra to install.
-    """
-    path = Path(path)
-    check_picture(path, time)
-    painter = VideoPainter(episodes, size)
-    if time is None:
-        time = painter.duration
-    if time > painter.duration + 1e-9:
-        raise ValueError(
-            f"time must be at most {painter.duration:g} s, when the last episode ends, not {time:g}"
-        )
-    from PIL import Image
-
-    image = Image.fromarray(painter.array(time))
-    kind = {".jpg": "jpeg"}.get(path.suffix, path.suffix[1:])
-    atomic_write(path, lambda temporary: image.save(temporary, format=kind))
-
-
-def check_video(path: str | Path) -> None:
-    """Checks that a video can be written to a path.
-
-    Raises:
-        ValueError: if the suffix is unknown or the path is not writable; the message lists the
-            known suffixes.
+        ValueError: if the suffix is unknown, the path is not writable, or the speed is not between
+            0.01 and 10.
         ImportError: if the package that writes the format is missing; the message gives the extra
             to install.
     """
-    _check_file(path, SUFFIXES, "video")
-
-
-def _check_file(path: str | Path, suffixes: tuple[str, ...], kind: str) -> None:
     path = Path(path)
-    if path.suffix not in suffixes:
-        raise ValueError(
-            f"cannot write a {kind} to {str(path)!r}: the file name has to end in {' or '.join(suffixes)}"
-        )
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"{str(path)!r} has to end in {' or '.join(SUFFIXES)}")
+    number("speed", speed, least=0.01, most=10)
     check_writable_file(path)
     module = "PIL.Image"
     if path.suffix == ".mp4":
@@ -183,13 +123,32 @@ def _check_file(path: str | Path, suffixes: tuple[str, ...], kind: str) -> None:
         ) from error
 
 
-def check_speed(speed: float) -> float:
-    """The playback speed, checked; 1 is real time.
+def write_picture(
+    path: str | Path,
+    episodes: Sequence[Episode],
+    *,
+    time: float | None = None,
+    size: tuple[int, int] = SIZE,
+) -> None:
+    """Writes a picture of episodes side by side to a ``.png`` file. The write is atomic.
+
+    Args:
+        path: file to write.
+        episodes: titles and episodes to show, at least one.
+        time: time of the picture [s]; None for the end of the longest episode.
+        size: width and height of the picture of each episode [pixels].
 
     Raises:
-        ValueError: if it is not between 0.01 and 10.
+        ValueError: if the time is negative or after the end of all episodes.
     """
-    return number("speed", speed, least=0.01, most=10)
+    from PIL import Image
+
+    painter = VideoPainter(episodes, size)
+    if time is None:
+        time = painter.duration
+    time = number("time", time, least=0, most=painter.duration, unit="s")
+    image = Image.fromarray(painter.array(time))
+    atomic_write(path, lambda temporary: image.save(temporary, format="png"))
 
 
 def write_video(
@@ -216,8 +175,7 @@ def write_video(
             to install.
     """
     path = Path(path)
-    check_video(path)
-    check_speed(speed)
+    check_video(path, speed)
     if any(side % 2 for side in size):
         raise ValueError(
             f"width and height of a video must be even numbers of pixels, not {size[0]} × {size[1]}"
@@ -267,39 +225,3 @@ def _write_gif(
         image.save(
             file, format="GIF", save_all=True, append_images=images, duration=1000 // rate, loop=0
         )
-
-
-def play(
-    episodes: Sequence[Episode], *, speed: float = SPEED, size: tuple[int, int] = SIZE
-) -> None:
-    """Shows episodes side by side in a window, in a loop, until the window is closed.
-
-    Space pauses and resumes, the left and right arrow keys step by one picture, r restarts, q or
-    Esc closes the window.
-
-    Raises:
-        NoDisplayError: if there is no display.
-        ValueError: if the speed or the size is invalid.
-        ImportError: if pygame is missing.
-    """
-    check_speed(speed)
-    painter = VideoPainter(episodes, size)
-    window = Window("cablebot: Space pauses, arrow keys step, r restarts, q quits")
-    times = painter.times(speed, RATE)
-    surface = import_pygame().Surface(painter.size)
-    index = 0
-    playing = True
-    try:
-        while not window.closed:
-            for column, picture in enumerate(painter.surfaces(times[index])):
-                surface.blit(picture, (column * size[0], 0))
-            step = int(playing)
-            steps = {"left": -1, "right": 1, "r": -index, "space": 0}
-            for key in window.show(surface, RATE):
-                if key in ("q", "escape"):
-                    return
-                playing ^= key == "space"
-                step = steps.get(key, step)
-            index = (index + step) % len(times)
-    finally:
-        window.close()

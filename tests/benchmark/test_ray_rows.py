@@ -83,7 +83,5 @@ def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nonsense", "host:port"])
 def test_address_without_cluster_raises_at_once(address):
     pytest.importorskip("ray")
-    with pytest.raises(
-        ValueError, match=rf"{address}' is not an address|no Ray cluster at '{address}"
-    ):
+    with pytest.raises(ValueError, match=f"no Ray cluster at '{address}"):
         on_ray(address)

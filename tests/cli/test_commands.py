@@ -79,7 +79,7 @@ ERRORS = (
     (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
     (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
     (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
-    (FL + "--payload-max -1", 2, "payload-max"),
+    (FL + "--payload-max -1", 2, "payload_max must be"),
     (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),
     (FL + "--out file/below", 2, "cannot write to folder"),
     (f"compare {SPATIAL}", 2, "--policies"),
@@ -90,12 +90,20 @@ ERRORS = (
     (ROLLOUT.replace("--out", ""), 2, "--out"),
     (ROLLOUT + "folder.csv", 2, "it is a folder"),
     (ROLLOUT + "run", 2, "must end in .npz or .csv or .png"),
-    (f"video {PLANAR} video.mp4 {POLICY} --size 641x481", 2, "even number"),
-    (f"video {PLANAR} video.mp4 {POLICY} --speed nan", 2, "speed must"),
-    (f"video {PLANAR} video.avi {POLICY}", 2, "end in .mp4 or .gif"),
-    (f"picture {PLANAR} a.gif {POLICY}", 2, "has to end in .png or .jpg or .webp"),
-    ("picture a.png", 2, "or a robot with --robot, and then a file"),
-    (f"picture {PLANAR} a.png {POLICY} --time 9", 2, "--time must be at most 1.6 s"),
+    (f"video {PLANAR} --out video.mp4 {POLICY} --size 641x481", 2, "even number"),
+    (f"video {PLANAR} --out video.mp4 {POLICY} --speed nan", 2, "speed must"),
+    (f"video {PLANAR} --out video.avi {POLICY}", 2, "end in .mp4 or .gif or .png"),
+    (
+        f"video {PLANAR} --out a.gif {POLICY} --time 1",
+        2,
+        "--time is for a picture: name a .png file",
+    ),
+    (f"video {PLANAR} {POLICY}", 2, "--out"),
+    (
+        f"video {PLANAR} --out a.png {POLICY} --time 9",
+        2,
+        "time must be a finite number at least 0 and at most 1.6 s",
+    ),
     (
         "benchmark --suite huge",
         2,
@@ -133,7 +141,7 @@ def test_error_ends_with_its_status_and_one_line_and_keeps_the_folder(
     [
         ("matplotlib", "plot", FL + "--out results"),
         ("casadi", "optimal", f"best-known {PLANAR}"),
-        ("pygame", "render", f"video {PLANAR} video.gif {POLICY}"),
+        ("pygame", "render", f"video {PLANAR} --out video.gif {POLICY}"),
         ("ray", "ray", "benchmark --policies fl --ray local"),
     ],
 )
@@ -159,6 +167,23 @@ def is_alive(group):
     except ProcessLookupError:
         return False
     return True
+
+
+@pytest.mark.landing
+@pytest.mark.skipif(os.name != "posix", reason="a shell of POSIX")
+@pytest.mark.parametrize(("reader", "printed"), [("cat", r"\u2013"), ("true", "")])
+def test_output_without_reader_or_unicode_is_no_error(reader, printed):
+    """The reader ``true`` ends before the command writes."""
+    command = f"{shlex.quote(sys.executable)} -m cablebot_gym.cli.app list | {reader}"
+    ended = subprocess.run(
+        command,
+        shell=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert ended.stderr == ""
+    assert printed in ended.stdout
 
 
 @pytest.mark.landing

@@ -102,25 +102,24 @@ def test_error_of_a_policy_names_its_line(cablebot, toys):
 
 
 @pytest.mark.landing
-def test_wrapper_reaches_the_policy(cablebot, tmp_path):
+def test_wrapper_reaches_the_policy(cablebot, toys, tmp_path):
     path = tmp_path / "toy_weak.py"
     path.write_text(WRAPPERS)
-    (result,) = cablebot(ONE, "--wrapper", path).data
-    assert (result["payload"], result["wrappers"]) == (None, [str(path)])
+    (result,) = cablebot(ONE, "--policy", toys("declares"), "--wrapper", f"{path}:Weak").data
+    assert (result["payload"], result["wrappers"]) == (None, [f"{path}:Weak"])
 
 
 @pytest.mark.landing
 def test_out_has_json_and_figures(cablebot, tmp_path):
     folder = tmp_path / "new" / "results"
     ended = cablebot(ONE, "--out", folder)
-    assert names(folder) == ["path-task.png", "result.json", "torques-task.png"]
+    assert names(folder) == ["result-task.png", "result.json"]
     assert (folder / "result.json").read_text() == ended.out
-    for name in ("path-task.png", "torques-task.png"):
-        assert name in ended.err
+    assert "result-task.png" in ended.err
 
 
 def test_interrupt_leaves_old_files_and_no_partial_file(cablebot, tmp_path, monkeypatch):
-    figure_path = tmp_path / "path-task.png"
+    figure_path = tmp_path / "result-task.png"
     figure_path.write_text("old")
 
     def interrupt(figure, path, **_):
@@ -159,7 +158,7 @@ def test_printed_command_repeats_the_failure(cablebot):
     violation = cablebot(line, "--json").data[0]["violation"]
     shown = cablebot(line).out
     typed = next(text for text in shown.splitlines() if text.startswith("  cablebot rollout"))
-    assert "--position-bound 4 --payload-unknown" in typed
+    assert "--position-bound 4.0 --payload-unknown" in typed
     ended = cablebot(typed.replace("cablebot ", "", 1))
     assert f"paper criterion: not carried: {Violation(**violation)}" in ended.out
 

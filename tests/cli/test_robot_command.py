@@ -74,10 +74,9 @@ def test_payload_is_judged_by_exact_tracking_and_by_the_start(
 
 def test_impossible_robot_is_refused_with_its_remedy(cablebot, edited):
     path = edited("gch-klaus", "pulley_radius = 0.0127", "pulley_radius = 12.7")
-    ended = cablebot("robot check", path)
-    assert (ended.status, ended.out) == (1, "")
-    assert ended.err.startswith("refused: robot file")
-    assert "lengths are in metres" in ended.err
+    message = cablebot("robot check", path).message(2)
+    assert message.startswith("cablebot: robot file")
+    assert "lengths are in metres" in message
 
 
 def test_ids_have_robots_of_their_kinds():

@@ -2,6 +2,7 @@
 
 import math
 from types import SimpleNamespace
+from typing import get_args
 
 import gymnasium as gym
 import numpy as np
@@ -10,7 +11,7 @@ from evaluation.conftest import play
 
 from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, ErrorBounds, Verdict
-from cablebot_gym.evaluation.judge import KINDS, Judge
+from cablebot_gym.evaluation.judge import Judge, ViolationKind
 from cablebot_gym.robots import PLANAR
 
 STALL = np.array([5.0, 6.0, 7.0])
@@ -164,31 +165,7 @@ def test_within_the_limits_a_payload_is_carried(criterion, script, keywords):
     assert judged(script, criterion, **keywords).carried
 
 
-LEADS = [
-    # fractions of the limit at the start and at each step, and steps of the lead
-    ([0.1, 0.5, 0.89, 1.1], 0),
-    ([0.1, 0.5, 0.91, 0.95, 1.1], 2),
-    ([0.1, 0.95, 0.89, 0.91, 1.1], 1),
-    ([0.1, 0.95, 0.95, 0.89, 1.1], 0),
-]
-
-
-@pytest.mark.parametrize(
-    ("criterion", "change"),
-    [
-        ("task", lambda fraction: {"position": fraction * BOUNDS.position}),
-        ("task", lambda fraction: {"tension": (9.0, 1.0 / fraction, 8.0)}),
-        ("task", lambda fraction: {"largest": (9.0, 50.0 * fraction, 8.0)}),
-        ("paper", lambda fraction: {"action": (0.1, -fraction, 0.2)}),
-    ],
-)
-def test_lead_is_the_last_time_span_beyond_nine_tenths_of_the_limit(criterion, change):
-    for fractions, steps in LEADS:
-        violation = judged([change(fraction) for fraction in fractions], criterion).violation
-        assert violation.lead == pytest.approx(steps * PERIOD)
-    assert judged(third(terminated=True)).violation.lead is None
-
-
+KINDS = get_args(ViolationKind)
 EVENTS = {
     "torque": {"action": (0.0, 2.0, 0.0)},
     "slack": {"slack": (3,)},

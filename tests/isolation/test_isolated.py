@@ -195,7 +195,7 @@ def test_process_behind_bubblewrap_writes_no_file_and_has_no_network(spec, env):
         "    def predict(self, observation, *_, **__):\n"
         "        return np.zeros((len(observation), 6)), None\n"
     )
-    with IsolatedPolicy("writes.py", SPATIAL) as policy:
+    with IsolatedPolicy("writes.py:Writes", SPATIAL) as policy:
         policy.reset(env.tasks)
     assert not Path("left").exists()
 

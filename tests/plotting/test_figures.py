@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablebot_gym.bounds.robot_check import check_model
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.physics.textbook import pulley_angle
 from cablebot_gym.rendering.projection import points_in_space
 from cablebot_gym.robots import PLANAR, find_robot
 
@@ -31,26 +30,6 @@ def results():
         "spatial": evaluate_dlcc("fl", SPATIAL_ID, payload_max=4.0, resolution=4.0),
         "violent": evaluate_dlcc(lambda _: np.array([-3.0, 2.0, 1.0]), PLANAR_ID, **SMALL),
     }
-
-
-def test_springs_have_their_deflections(results):
-    """At rest the deflection times K is the torque of the motor. A rigid robot has no springs."""
-    dwell = {"trajectory": {"name": "dwell-planar", "duration": 0.05}, "search": "bisection"}
-    springs = evaluate_dlcc("motor-pd", "CableBot-FlexPlanar-v0", **dwell, **SMALL)
-    rollout = springs.rollout
-    robot = rollout.task.robot
-    deflection = rollout.start["spring_deflection"]
-    assert_allclose(robot.stiffness * deflection, rollout.start["torques"], rtol=1e-9)
-    pulley = rollout.arrays["motor_angle"] - rollout.arrays["spring_deflection"]
-    assert_allclose(pulley, pulley_angle(robot, rollout.arrays["true_pose"]), atol=1e-12)
-    drawn = figures.draw_springs(springs).axes
-    assert [axes.get_title() for axes in drawn] == ["spring 1", "spring 2", "spring 3"]
-    for spring, axes in enumerate(drawn):
-        assert_array_equal(
-            axes.get_lines()[2].get_ydata(), rollout.arrays["spring_deflection"][:, spring]
-        )
-    with pytest.raises(ValueError, match="'planar' has no joint springs"):
-        figures.draw_springs(results["planar"])
 
 
 @pytest.fixture(params=["planar", "spatial", "violent"])
@@ -78,12 +57,12 @@ def test_mark_is_at_the_least_torque_margin(result):
 
 
 def test_errors_are_drawn_with_their_bounds(result):
-    planar = result.rollout.task.robot.planar
-    _, *errors = figures.draw_path(result).axes
-    assert len(errors) == (1 if planar else 2)
+    robot = result.rollout.task.robot
+    _, *errors = figures.draw_result(result).axes[robot.cables :]
+    assert len(errors) == (1 if robot.planar else 2)
     times, millimetres = errors[0].get_lines()[0].get_data()
     offset = result.rollout.arrays["true_pose"] - result.rollout.task.trajectory(times).position
-    distance = 1e3 * np.linalg.norm(offset[:, : 2 if planar else 3], axis=1)
+    distance = 1e3 * np.linalg.norm(offset[:, : robot.dimensions], axis=1)
     assert_allclose(millimetres, distance, atol=1e-9)
     for axes in errors:
         assert axes.get_lines()[1].get_ydata()[0] == 10.0
@@ -154,8 +133,7 @@ def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     )
     task = figures.save_figures(odd_name, folder)
     paper = figures.save_figures(results["planar"], str(folder))
-    assert [path.name for path in task] == ["torques-task.png", "path-task.png"]
-    assert [path.name for path in paper] == ["torques-paper.png", "path-paper.png"]
+    assert [path.name for path in task + paper] == ["result-task.png", "result-paper.png"]
     assert sorted(folder.iterdir()) == sorted(task + paper)
     for path in task + paper:
         assert path.read_bytes().endswith(b"IEND\xaeB`\x82")

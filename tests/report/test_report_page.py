@@ -43,14 +43,6 @@ def results(tmp_path):
     return tmp_path
 
 
-def test_page_opens_on_the_largest_payload_of_the_first_table():
-    data = page_data([RESULTS], {})
-    start = data["rows"][data["start"]]
-    assert start["policy"] == "fl"
-    assert start["payload"] == 1.9
-    assert start["condition"] == "payload known"
-
-
 @pytest.mark.parametrize(
     ("kind", "bound", "sentence", "name"),
     [
@@ -66,11 +58,7 @@ def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
     sentence += " at t = 0.532 s"
     assert {row["violation"] for row in data["rows"]} == {sentence, f"{name} 2 ×"}
     facts = dict(data["cells"][0]["facts"])
-    assert facts["Limiting violation"] == sentence
     assert facts["Violations of the draws at a larger payload"] == f"{name}: 3"
-    (limits,) = data["limits"]
-    assert limits["policy"] == "fl"
-    assert [(strip["limit"], strip["count"]) for strip in limits["strips"]] == [(name, 3)]
 
 
 def test_motions_of_a_family_are_one_line_with_an_episode_each():
@@ -222,7 +210,6 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
     assert page.inner_text("#verdict").startswith(
         "2.01 kg: position error reaches its bound of 10 mm at t = "
     )
-    assert "% of its bound" in page.inner_text("#verdict")
     assert page.locator("#chart-position line.bound").count() == 2
 
 

@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import signal
 import sys
-import threading
 from functools import partial
 from pathlib import Path
 
@@ -111,35 +110,4 @@ def test_interrupt_ends_all_processes(tmp_path):
     assert len(multiprocessing.active_children()) == 2
     with pytest.raises(KeyboardInterrupt):
         results.throw(KeyboardInterrupt())
-    assert multiprocessing.active_children() == []
-
-
-def test_interrupt_is_deferred_while_a_process_starts(monkeypatch):
-    """Python raises it in the main thread, which would lose the process between its start and its
-    registration."""
-    go = threading.Event()
-    gone = threading.Event()
-    processes = []
-
-    def interrupt():
-        go.wait()
-        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
-        gone.set()
-
-    # started before interrupts are blocked, which threads inherit
-    thread = threading.Thread(target=interrupt)
-    thread.start()
-    start = multiprocessing.context.SpawnProcess.start
-
-    def slow_start(process):
-        go.set()
-        gone.wait()
-        start(process)
-        processes.append(process)
-
-    monkeypatch.setattr(multiprocessing.context.SpawnProcess, "start", slow_start)
-    with pytest.raises(KeyboardInterrupt):
-        dict(started({"a": partial(square, 1), "b": partial(square, 2)}))
-    thread.join()
-    assert len(processes) == 1
     assert multiprocessing.active_children() == []

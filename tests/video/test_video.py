@@ -1,12 +1,11 @@
-"""Videos: pictures, files and the window. The commands have tests in tests/cli."""
+"""Videos: pictures and files. The commands have tests in tests/cli."""
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.rendering.window import Window
-from cablebot_gym.video.recording import VideoPainter, play, write_video
+from cablebot_gym.video.recording import VideoPainter, write_video
 
 SPATIAL = "CableBot-Spatial-v0"
 SMALL = (320, 240)
@@ -79,13 +78,3 @@ def test_interrupt_keeps_the_old_file(tmp_path, lost):
     assert [(file.name, file.read_bytes()) for file in tmp_path.iterdir()] == [
         ("video.mp4", b"older")
     ]
-
-
-def test_keys_pause_step_restart_and_quit(monkeypatch, lost):
-    shown = []
-    typed = iter([[], [], ["space"], [], ["right"], ["left"], ["r"], ["space"], [], ["q"]])
-    monkeypatch.setattr(VideoPainter, "surfaces", lambda self, time: shown.append(time) or iter([]))
-    monkeypatch.setattr(Window, "show", lambda self, picture, rate: next(typed))
-    play([lost], speed=1.0, size=SMALL)
-    times = VideoPainter([lost], SMALL).times(1.0, 30)
-    assert [int(np.searchsorted(times, time)) for time in shown] == [0, 1, 2, 2, 2, 3, 2, 0, 0, 1]

@@ -92,7 +92,6 @@ class CodeCache(_Cache):
             _say_once(
                 f"cannot store compiled code in {path.parent} ({error.strerror or error}): {REMEDY}"
             )
-            return
 
     def enable(self) -> None:
         """Has no effect: stored code is read always."""

@@ -8,8 +8,6 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-from cablebot_gym.utils.console import PREPARATION
-
 
 @contextmanager
 def collection_paused() -> Iterator[None]:
@@ -26,7 +24,7 @@ def collection_paused() -> Iterator[None]:
 
 with collection_paused():
     import numba
-    from numba.core import event, registry
+    from numba.core import registry
 
     from cablebot_gym.physics.compiling.code_cache import CodeCache
 
@@ -55,16 +53,3 @@ def cached_njit(function: Any, **options: Any) -> Any:
     compiled = numba.njit(**options)(function)
     compiled._cache = CodeCache(function)
     return compiled
-
-
-class _Preparation(event.Listener):
-    """Counts compilation as a preparation, which estimates of the time left exclude."""
-
-    def on_start(self, event: event.Event) -> None:
-        PREPARATION.start()
-
-    def on_end(self, event: event.Event) -> None:
-        PREPARATION.end()
-
-
-event.register("numba:compile", _Preparation())

@@ -179,12 +179,8 @@ for (const section of data.notes) {
   find("notes-body").append(element("h3", { text: section.title }), list);
 }
 const leaderboard = makeLeaderboard(data.rows, openRow);
-find("limits-body").append(...data.limits.map(limitFigure));
-find("limits").hidden = !data.limits.length;
-find("errors-body").append(...data.errors.map(errorFigure));
-find("errors").hidden = !data.errors.length;
 const linked = data.rows.find((row) => row.key === decodeURIComponent(location.hash.slice(1)));
-const start = linked ?? data.rows[data.start];
+const start = linked ?? data.rows.find((row) => data.cells[row.cells[0]]?.replays) ?? data.rows[0];
 leaderboard.filters.id.value = start.id;
 leaderboard.filters.motion.value = start.motion;
 leaderboard.filters.condition.value = start.condition;

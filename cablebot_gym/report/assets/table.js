@@ -77,10 +77,7 @@ function makeLeaderboard(rows, openRow) {
 
   function fractionCell(row) {
     const cell = element("td");
-    if (row.fraction === null) {
-      cell.textContent = row.note;
-      return cell;
-    }
+    if (row.fraction === null) return cell;
     const box = element("div", { class: "fraction" }), track = element("div", { class: "track", "aria-hidden": "true" });
     track.append(element("div", { class: "fill", style: `width:${percent(Math.min(1, row.fraction))}` }));
     if (row.interval) {

@@ -50,8 +50,8 @@ def test_interrupted_drive_ends_as_other_commands(cablebot, monkeypatch):
         ("--simulate --fault lose@1", "unknown fault 'lose'"),
         ("--simulate --fault drop@1:9", "winch of a fault must be"),
         ("--simulate --fault drop@soon", "KIND@TIME:WINCH"),
-        ("--simulate --torque-limit 2", "--torque-limit must be"),
-        ("--simulate --watchdog 0.001", "--watchdog must be"),
+        ("--simulate --torque-limit 2", "torque_limit must be"),
+        ("--simulate --watchdog 0.001", "watchdog must be"),
         ("--port a", "give --port 2 times"),
     ],
 )
