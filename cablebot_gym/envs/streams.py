@@ -92,7 +92,7 @@ class Streams:
         blocks: NDArray[np.int64],
         shape: tuple[int, ...],
     ) -> Array:
-        """Standard normal numbers of one block for each environment, (len(env_indices), *shape)."""
+        """Standard normal numbers of one block for each environment, (len(env_indices),) + shape."""
         draw = self._generator.standard_normal
         return self._draw(draw, env_indices, purpose, blocks, shape)
 
@@ -104,7 +104,7 @@ class Streams:
         blocks: NDArray[np.int64],
         shape: tuple[int, ...],
     ) -> Array:
-        """Numbers of one block for each environment, (len(env_indices), *shape)."""
+        """Numbers of one block for each environment, (len(env_indices),) + shape."""
         numbers = np.empty((len(env_indices), *shape))
         first_rows: dict[tuple[int, int, int], int] = {}
         # arrays inside the state, which is set at the start of each stream
