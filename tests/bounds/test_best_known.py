@@ -255,10 +255,6 @@ def test_infeasible_problem_names_the_remedy(arguments, message, monkeypatch):
 HEAVIER = {"parameters": {"payload": {"low": 0.03, "high": 0.03}}, "sensors": {"position": 1e-3}}
 
 
-def strength(deviation):
-    return {"parameters": {"motor_strength": {"low": deviation, "high": deviation}}}
-
-
 @pytest.fixture
 def drawn(monkeypatch, line):
     monkeypatch.setattr("cablebot_gym.bounds.drawn.find_best_known", lambda *_, **__: line)
@@ -270,16 +266,6 @@ def test_exactly_known_robot_gives_the_nominal_payload(drawn, line):
     assert result.verified
     assert result.ratio == pytest.approx(1.0, abs=0.002)
     assert result.nominal_payload == line.payload
-
-
-@pytest.mark.landing
-def test_stronger_motors_carry_more_and_weaker_ones_less(drawn):
-    assert (
-        drawn(uncertainty=strength(-0.03)).ratio
-        < 0.99
-        < 1.01
-        < drawn(uncertainty=strength(0.03)).ratio
-    )
 
 
 def test_heavier_payload_of_a_draw_is_counted_by_its_nominal_mass(drawn):

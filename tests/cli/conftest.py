@@ -40,9 +40,6 @@ class interrupted(Toy):
         os.kill(os.getpid(), signal.SIGINT)
         return action
 
-def unmakeable(robot):
-    raise RuntimeError("no factory today")
-
 def clipped(robot):
     law = FeedbackLinearization(robot)
     return lambda observation: np.clip(law.predict(observation)[0], -1, 1)

@@ -85,20 +85,12 @@ def test_paper_criterion_does_not_apply_to_saturated_actions(cablebot, toys):
     assert "unsaturated_actions" in cablebot(f"{clipped} --criterion paper").message(2)
 
 
-def test_unsaturated_actions_of_other_policies_are_marked(cablebot, toys):
-    paper = f"{QUICK} --criterion paper"
-    assert "declared" not in cablebot(paper).out
-    assert "paper (declared)" in cablebot(paper, "--policy", toys("declares")).out
-
-
 def test_error_of_a_policy_names_its_line(cablebot, toys):
     name = toys("raises")
     line = cablebot(f"dlcc {PLANAR} --policy {name} --out new").message(1)
     start = f"cablebot: policy '{name}', at t = 0.020 s with payloads of 0 to 10 kg"
     assert line.startswith(start)
     assert f"RuntimeError: lost (cli_toys.py, line {LOST})" in line
-    made = cablebot(f"dlcc {PLANAR} --policy", toys("unmakeable"))
-    assert "no factory today" in made.message(2)
 
 
 @pytest.mark.landing

@@ -41,12 +41,6 @@ def test_last_actions_are_those_sent_in_this_episode():
 # --- layout -------------------------------------------------------------------------------------------------------
 
 
-def test_layout_rejects_the_observation_of_another_robot():
-    layout = observation_layout(ROBOTS[PLANAR])
-    with pytest.raises(ValueError, match=f"'planar' has {layout.size} components"):
-        layout.split(np.zeros((4, layout.size + 1)))
-
-
 def test_model_payload_spans_the_payload_range_of_a_real_robot():
     """At 1000 kg it did: laws that read it sagged with the tonnes of FAST."""
     for name in library():

@@ -1,7 +1,5 @@
 """``render()`` of both environments."""
 
-import sys
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -65,11 +63,3 @@ def test_vector_environment_paints_the_pictures_of_single_ones():
             assert_array_equal(result[0], observation)
     assert_array_equal(envs.render(), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
-
-
-def test_render_needs_pygame(monkeypatch):
-    painted = {"render_mode": "rgb_array"}
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    make(PLANAR)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[render\]'"):
-        make(PLANAR, **painted)

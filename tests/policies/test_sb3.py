@@ -66,9 +66,6 @@ def test_loaded_model_predicts_like_the_saved_one(tmp_path, package, algorithm):
     path = tmp_path / "model.zip"
     model = saved(path, OBSERVED, ACTIONS, algorithm, package)
     loaded = load_policy(str(path), PLANAR)
-    # others' files look the same
-    if algorithm in ("PPO", "SAC", "TD3", "TQC", "CrossQ", "RecurrentPPO", "ARS"):
-        assert type(loaded).__name__ == algorithm
     observation, _ = gym.make(PLANAR_ID).reset(seed=0)
     batch = np.stack([observation, observation / 2])
     state = None

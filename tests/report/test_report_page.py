@@ -43,24 +43,6 @@ def results(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize(
-    ("kind", "bound", "sentence", "name"),
-    [
-        ("position", 0.02, "position error reaches its bound of 20 mm", "position error"),
-        ("slack", None, "cable 2 is slack", "least tension"),
-    ],
-)
-def test_violations_are_named_as_in_other_results(kind, bound, sentence, name):
-    violation = {"kind": kind, "index": 2, "time": 0.532, "excess": 1e-6, "bound": bound}
-    given = {"violation": violation, "failures": {kind: 3}}
-    rows = [carried("fl", 1.9, **given), *(carried("fl", 1.9, motion=m, **given) for m in LOOPS)]
-    data = page_data([replace(RESULTS, rows=rows)], {})
-    sentence += " at t = 0.532 s"
-    assert {row["violation"] for row in data["rows"]} == {sentence, f"{name} 2 ×"}
-    facts = dict(data["cells"][0]["facts"])
-    assert facts["Violations of the draws at a larger payload"] == f"{name}: 3"
-
-
 def test_motions_of_a_family_are_one_line_with_an_episode_each():
     survey = [carried("robust", 1.0 + index, motion=motion) for index, motion in enumerate(LOOPS)]
     data = page_data([replace(RESULTS, rows=[*ROWS, *survey])], {})
