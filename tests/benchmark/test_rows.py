@@ -213,15 +213,6 @@ def test_fallbacks_are_counted_per_episode(module):
 # --- hash of the code -------------------------------------------------------------------------------------------------
 
 
-def sources(module, policy, files):
-    """Hashes of the code of a policy after each file is written."""
-    hashes = []
-    for name, text in files:
-        module(name, text)
-        hashes.append(changed(policy).present_code)
-    return hashes
-
-
 IMPORTED = "from toy_package.gains import K\n"
 FLAT = "import numpy, toy_helper, toy_package.other\ndef make(robot): ...\n"
 BOTH = "from toy_package.law import make\nfrom toy_package.other import K\n"
@@ -265,7 +256,8 @@ def test_hash_follows_the_code_of_a_policy(module, policy, files, writes):
         module(f"toy_package/{name}", text)
     before = changed(policy).present_code
     for name, text, is_other in writes:
-        (after,) = sources(module, policy, [(f"toy_package/{name}", text)])
+        module(f"toy_package/{name}", text)
+        after = changed(policy).present_code
         assert (after != before) == is_other, name
         before = after
 

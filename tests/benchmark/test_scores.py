@@ -33,10 +33,6 @@ def score_values(records):
     return [score.score for score in scores(records)]
 
 
-def payloads(found_scores):
-    return [score.payload for score in found_scores]
-
-
 def test_score_is_the_fraction_of_the_best_known_payload():
     records = [
         best(2.0),

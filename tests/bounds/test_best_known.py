@@ -24,7 +24,6 @@ pytest.importorskip("casadi")
 pytestmark = pytest.mark.usefixtures("cache")
 
 PLANAR_ID = "CableBot-Planar-v0"
-SPATIAL_ID = "CableBot-Spatial-v0"
 FLEX_ID = "CableBot-FlexPlanar-v0"
 POINT_ID = "CableBot-Point-v0"
 LARGEST_GAP = 0.003
@@ -53,13 +52,6 @@ def line():
         return find_best_known(PLANAR_ID, trajectory=LINE, cache=False)
 
 
-def replay(payload, actions, *, env_id=PLANAR_ID, trajectory=LINE, **more):
-    """The verdict on an open-loop episode."""
-    return record_rollout(
-        OpenLoop(actions), env_id, payload=payload, trajectory=trajectory, **more
-    ).verdict
-
-
 # --- the fast case ----------------------------------------------------------------------------------------------------
 
 
@@ -74,7 +66,13 @@ def test_replay_verifies_the_actions(line):
     assert fine.substeps == 10 * coarse.substeps
     assert fine.least_tension < coarse.least_tension
     for stored in line.replays:
-        verdict = replay(line.payload, line.actions, substeps=stored.substeps)
+        verdict = record_rollout(
+            OpenLoop(line.actions),
+            PLANAR_ID,
+            payload=line.payload,
+            trajectory=LINE,
+            substeps=stored.substeps,
+        ).verdict
         assert verdict.carried
         assert stored.violation is None
         steps = f"{stored.substeps} physics steps per control period"

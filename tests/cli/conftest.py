@@ -51,9 +51,6 @@ def declares(robot):
     return FeedbackLinearization(robot)
 """
 
-LOST = 1 + next(index for index, line in enumerate(TOYS.splitlines()) if "lost" in line)
-"""Line of the toys that raises."""
-
 
 @dataclass(frozen=True)
 class Ended:

@@ -51,12 +51,6 @@ def test_help_has_valid_examples_and_a_text_for_every_option(cablebot, name):
     assert line == f"cablebot: No such option: --no-such-option. Example: cablebot {examples[0]}\n"
 
 
-def test_help_lists_every_command(cablebot):
-    shown = cablebot("--help").out
-    for name in COMMANDS:
-        assert f"\n  {name}  " in shown
-
-
 def test_commands_of_the_readme_are_valid():
     lines = re.findall(r"^cablebot ((?!--).+)$", README, re.MULTILINE)
     assert len(lines) > 3
@@ -77,7 +71,6 @@ ERRORS = (
     ("robot nosuch", 2, "robot check"),
     ("dlcc --policy fl", 2, "give an environment id, one of"),
     (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
-    (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
     (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
     (FL + "--payload-max -1", 2, "payload_max must be"),
     (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),

@@ -247,16 +247,11 @@ class Slow(Law):
         return super().act(observation)
 
 
-@pytest.fixture
-def clock(monkeypatch):
+@pytest.mark.parametrize("payload", [0.0, 19.0])
+def test_times_of_actions(monkeypatch, payload):
+    """Also of those after a violation, which the larger payload causes at once."""
     clock = Clock()
     monkeypatch.setattr(timing, "time", clock)
-    return clock
-
-
-@pytest.mark.parametrize("payload", [0.0, 19.0])
-def test_times_of_actions(clock, payload):
-    """Also of those after a violation, which the larger payload causes at once."""
     times = time_actions(Slow(clock), SPATIAL_ID, payload=payload, trajectory=HANG)
     late = [
         calls % 4 == 0 for calls in range(WARM_UP + 1, round(HANG["duration"] / times.period) + 1)

@@ -17,7 +17,6 @@ from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import (
     ENTRY_POINT_GROUP,
-    FILE_ENTRY_POINT_GROUP,
     Policy,
     PolicyError,
     PolicyFactory,
@@ -58,13 +57,13 @@ class Point:
 
 @pytest.fixture
 def points(monkeypatch):
-    """Entry points of other packages by group, in addition to the installed ones of policies."""
+    """Entry points of other packages by group, in addition to the installed ones."""
     installed = spec.entry_points
-    added = {ENTRY_POINT_GROUP: [], FILE_ENTRY_POINT_GROUP: []}
+    added = {}
 
     def entry_points(*, group, name=None):
-        own = [] if group == FILE_ENTRY_POINT_GROUP else [*installed(group=group)]
-        return [point for point in (*added.get(group, ()), *own) if name in (None, point.name)]
+        points = [*added.get(group, ()), *installed(group=group)]
+        return [point for point in points if name in (None, point.name)]
 
     monkeypatch.setattr(spec, "entry_points", entry_points)
     return added
@@ -421,7 +420,7 @@ def test_only_policies_of_this_project_are_shipped(points):
     assert {name for name, entry in policy_entries().items() if entry.unsaturated_actions} == {
         name for name, _ in DECLARING
     }
-    points[ENTRY_POINT_GROUP].append(Point(replace(FL, name="theirs")))
+    points[ENTRY_POINT_GROUP] = [Point(replace(FL, name="theirs"))]
     assert PolicySpec.parse("theirs").entry().unsaturated_actions
     for name in ("mine:make", "model.zip", "theirs"):
         assert not PolicySpec.parse(name).shipped

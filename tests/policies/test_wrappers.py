@@ -153,17 +153,11 @@ class Spies(VectorWrapper):
 """
 
 
-@pytest.fixture
-def module(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.delitem(sys.modules, "toy_wrappers", raising=False)
-    path = tmp_path / "toy_wrappers.py"
-    path.write_text(MODULE)
-    return path
-
-
 @pytest.mark.landing
-def test_isolated_wrappers_give_the_same_payload(module):
+def test_isolated_wrappers_give_the_same_payload(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    module = tmp_path / "toy_wrappers.py"
+    module.write_text(MODULE)
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
         isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)
