@@ -34,10 +34,10 @@ def dummy(env_id=PLANAR_ID, **keywords):
     return DummyVecEnv([lambda: gym.make(env_id, **(failing(env_id) | keywords))] * COUNT)
 
 
-def random_actions(env, steps, seed=0):
+def random_actions(env, steps):
     """Actions (steps, N, m), each constant for some steps, some beyond ±1 and many that slacken
     cables."""
-    drawn = np.random.default_rng(seed).uniform(
+    drawn = np.random.default_rng(0).uniform(
         -1.0, 1.5, (steps // 4 + 1, env.num_envs, *env.action_space.shape)
     )
     return np.repeat(drawn, 4, axis=0)[:steps]

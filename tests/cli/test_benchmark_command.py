@@ -49,10 +49,10 @@ def benchmark(monkeypatch, cablebot, tmp_path, inline):
     return run
 
 
-def scores(ended, suite="tiny"):
+def scores(ended):
     """Scores by policy, and whether the payload is known."""
     values = {}
-    for score in find_scores(read(ended.folder / f"{suite}.jsonl").rows):
+    for score in find_scores(read(ended.folder / "tiny.jsonl").rows):
         values[score.row.policy, score.conditions.payload_known] = score.score
     return values
 

@@ -68,15 +68,6 @@ def test_normalised_observation_is_the_layouts_function(env_id):
     assert np.all(np.isfinite([space.low, space.high]))
 
 
-def test_observation_in_float32_is_the_rounded_one():
-    double = make(PLANAR, normalised_observation=True)
-    single = make(PLANAR, normalised_observation=True, observation_dtype=np.float32)
-    actions = random_actions(single, 2, -1, 1)
-    expected, rounded = (rollout(env, actions, seed=0).observations for env in (double, single))
-    assert_array_equal(rounded, expected.astype(np.float32), strict=True)
-    assert all(observation in single.observation_space for observation in rounded)
-
-
 def test_pose_and_velocity_become_tracking_errors():
     env = make(SPATIAL, normalised_observation=True, trajectory="paper-spatial")
     error = np.array([0.01, -0.02, 0.0, 0.005, 0.0, -0.01])

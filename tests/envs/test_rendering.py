@@ -13,15 +13,11 @@ from cablebot_gym.rendering.painter import import_pygame
 pygame = import_pygame()
 
 
-@pytest.fixture
-def without_display(monkeypatch):
+@pytest.mark.landing
+def test_gymnasium_check_env_passes_without_display(monkeypatch):
+    """It makes the environment again in every render mode, including ``human``."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-
-
-@pytest.mark.landing
-def test_gymnasium_check_env_passes_without_display(without_display):
-    """It makes the environment again in every render mode, including ``human``."""
     env = gym.make("CableBot-FlexPlanar-v0", render_mode="human")
     check_env(env.unwrapped)
     env.close()
