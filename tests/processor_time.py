@@ -60,8 +60,7 @@ def is_busy():
 class Stopwatch:
     """Processor time of the tests of one process, without what is done once for several tests."""
 
-    def __init__(self, clock=spent):
-        self._clock = clock
+    def __init__(self):
         self.once = 0.0
         self._depth = 0
         self._since = 0.0
@@ -101,14 +100,14 @@ class Stopwatch:
     def _begin(self):
         if threading.current_thread() is threading.main_thread():
             if self._depth == 0:
-                self._since = self._clock()
+                self._since = spent()
             self._depth += 1
 
     def _end(self):
         if threading.current_thread() is threading.main_thread():
             self._depth -= 1
             if self._depth == 0:
-                self.once += self._clock() - self._since
+                self.once += spent() - self._since
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(self, fixturedef):
@@ -121,14 +120,14 @@ class Stopwatch:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item):
         """A test begins."""
-        self._start = self._clock() - self.once
+        self._start = spent() - self.once
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_makereport(self, item, call):
         """The last report of a test has its time, as on the machine of the limits."""
         if call.when == "teardown":
-            seconds = self._clock() - self.once - self._start
+            seconds = spent() - self.once - self._start
             if seconds > LIMIT:
                 seconds /= max(1.0, probe() / PROBE)
             item.user_properties.append((NAME, seconds))

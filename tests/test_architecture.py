@@ -3,8 +3,6 @@
 import ast
 import graphlib
 import re
-import subprocess
-import sys
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -162,18 +160,6 @@ def test_other_packages_import_only_public_names():
                 assert imported in public, f"{module} imports {imported}"
 
 
-def test_public_functions_take_a_path_as_text():
-    """``save("out.csv")`` raised an AttributeError. That the bodies keep to these annotations is
-    checked by mypy. The command line and ``import_robot`` make the paths of their own parts."""
-    for module in FILES:
-        if module.startswith("cablebot_gym") and module not in PUBLIC_MODULES:
-            continue
-        for node in ast.walk(tree(module)):
-            is_public = isinstance(node, ast.FunctionDef) and not node.name.startswith("_")
-            if is_public and ".cli" not in module and ".importers." not in module:
-                assert ": Path" not in ast.unparse(node.args), f"{module}.{node.name}"
-
-
 @pytest.mark.parametrize("package", ["cablebot_reproduction", "cablebot_winches"])
 def test_only_a_distribution_itself_imports_its_package(package):
     """It is installed by those who need it."""
@@ -194,22 +180,6 @@ def test_names_of_the_package_are_those_of_their_modules():
     for module, name in linked:
         assert module in PUBLIC_MODULES
         assert getattr(cablebot_gym, name) is getattr(import_module(module), name)
-
-
-@pytest.mark.landing
-def test_evaluation_is_loaded_on_first_use():
-    """`gym.make` does not need it; a slow import would be felt in every worker."""
-    code = """
-import sys, cablebot_gym
-print("cablebot_gym.evaluation" in sys.modules)
-cablebot_gym.evaluate_dlcc
-print("cablebot_gym.evaluation" in sys.modules)
-"""
-    printed = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
-    assert printed.split() == ["False", "True"]
-    assert not hasattr(cablebot_gym, "evaluate")
 
 
 CLOCKS = {"time", "timeit", "sched"}

@@ -38,14 +38,14 @@ def test_every_value_of_a_file_has_a_source(name):
         assert re.search("^assumed| has ", robot.sources[field])
 
 
-@pytest.fixture(scope="module")
-def checked():
-    """The check of the default motion of each robot, by name."""
-    return cache(lambda name: check_motion(find_robot(name)))
+@cache
+def checked(name):
+    """The check of the default motion of a robot."""
+    return check_motion(find_robot(name))
 
 
 @pytest.mark.parametrize("name", ["ttk4900", "stadium-camera"])
-def test_payload_range_holds_for_all_values_within_the_ranges(name, checked):
+def test_payload_range_holds_for_all_values_within_the_ranges(name):
     """The ends are those of corners, which is exact only where the payload is monotonic."""
     robot = find_robot(name)
     motion = checked(name)
@@ -58,7 +58,7 @@ def test_payload_range_holds_for_all_values_within_the_ranges(name, checked):
 
 
 @every_robot
-def test_motors_hold_the_default_motion_and_friction_acts_on_it(name, checked):
+def test_motors_hold_the_default_motion_and_friction_acts_on_it(name):
     """With the least payload of its range, at least the minimum tension, and torques within the
     torque-speed lines. Friction is smoothed at a speed far below those of the motion: at 0.5 rad/s,
     FAST had hardly any."""

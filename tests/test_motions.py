@@ -1,7 +1,6 @@
 """The reference motions against the paper's tables, their formulas and slopes, and the rules of
 the protocol."""
 
-import json
 import sys
 
 import numpy as np
@@ -22,7 +21,6 @@ from cablebot_gym.motions import (
     Waypoints,
     find_trajectory,
 )
-from cablebot_gym.task import to_jsonable
 
 POSE = (0.02, -0.03, 0.12, 0.01, -0.02, 0.03)
 END = tuple(-2 * value + 0.1 for value in POSE)
@@ -154,8 +152,6 @@ class Shift(PointToPoint):
 def shift():
     return Shift()
 ready, number = Shift(), 3
-def broken():
-    raise RuntimeError("lost")
 """
 
 
@@ -169,10 +165,8 @@ def test_motion_of_a_file_is_an_object_class_or_function(tmp_path, monkeypatch):
         assert find_trajectory(f"{path}:{name}", 2) is motion, (
             "one object, so that environments share one table"
         )
-    lost = r"raised RuntimeError: lost \(own_motion_of_a_test\.py, line 10\)"
-    for name, message in (("number", "gives 3, which is no Trajectory"), ("broken", lost)):
-        with pytest.raises(ValueError, match=message):
-            find_trajectory(f"{path}:{name}", 2)
+    with pytest.raises(ValueError, match="gives 3, which is no Trajectory"):
+        find_trajectory(f"{path}:number", 2)
 
 
 # --- the ends -----------------------------------------------------------------------------------------------------
@@ -197,18 +191,6 @@ def test_motion_rests_outside_its_duration(name):
     assert_array_equal(batch, stacked(motion(times)))
     if name == "paper-planar":
         assert_allclose(motion(1.0).acceleration, [0, -0.2165 * 8 * np.pi], atol=1e-12)
-
-
-# --- names --------------------------------------------------------------------------------------------------------
-
-
-@every_name
-def test_motion_survives_json(name):
-    motion = TRAJECTORIES[name](duration=1.25)
-    data = json.loads(json.dumps(to_jsonable(motion)))
-    again = find_trajectory(data, motion.coordinates)
-    assert (again, hash(again)) == (motion, hash(motion))
-    assert data["name"] == name  # the caller's dict is unchanged
 
 
 # --- errors -------------------------------------------------------------------------------------------------------

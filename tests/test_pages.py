@@ -11,9 +11,7 @@ import pages
 import pytest
 
 from cablebot_baselines.learned.shipped import WEIGHTS
-from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.store import read as load_rows
-from cablebot_gym.cli.listing import tables
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.robots import COORDINATE_NAMES, find_robot
@@ -123,36 +121,12 @@ def test_every_link_leads_to_a_file_of_the_repository(page):
     assert [link for link in links if "generated/" in link] == []  # git ignores that folder
 
 
-def test_links_to_headings_stay_within_the_site():
-    """The site knows no headings of such files, and its build fails after an hour of tests."""
-    for page in sorted((ROOT / "docs").glob("*.md")):
-        for link in re.findall(r"\]\(([^)#:]+)#[^)]*\)", page.read_text(encoding="utf-8")):
-            assert (page.parent / link).resolve().is_relative_to(ROOT / "docs"), f"{page}: {link}"
-
-
-def test_contents_of_the_site_name_every_page():
-    """A page without an entry is found by nobody."""
-    named = re.findall(r"^[\w/-]+$", read("docs/contents.inc"), re.MULTILINE)
-    pages = {page.removeprefix("docs/").removesuffix(".md") for page in DOCS}
-    assert sorted(named) == sorted(pages - {"index"})
-
-
 # --- statements -------------------------------------------------------------------------------------------------------
 
 
 def test_manual_names_the_coordinates_of_every_id():
     for robot in map(find_robot, ENV_ROBOTS.values()):
         assert f"({', '.join(COORDINATE_NAMES[robot.kind])})" in CableBotEnv.__doc__
-
-
-def test_list_says_what_is_elastic():
-    rows = {row[0]: row[-1] for key, _, rows in tables() for row in rows if key == "ids"}
-    assert rows.pop("id") == "transmission"
-    assert set(rows) == set(ENV_IDS)
-    for env_id, text in rows.items():
-        robot = find_robot(ENV_ROBOTS[env_id])
-        assert ("joint springs" in text) == robot.jointed
-        assert ("elastic cables" in text) == robot.elastic
 
 
 def test_laws_behind_the_homed_filter_keep_their_payload():

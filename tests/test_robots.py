@@ -20,7 +20,6 @@ from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.robots import (
     FLEX_SPATIAL,
     PLANAR,
-    ROBOTS,
     RPM,
     SPATIAL,
     Defaults,
@@ -97,16 +96,6 @@ def test_workspace_is_the_box_of_the_anchors_or_the_given_one():
         base = np.add(SPATIAL.base, [0, 0, anchors])
         robot = SPATIAL.replace(base_anchors=base, home_pose=(0, 0, home, 0, 0, 0))
         assert_allclose(robot.pose_bounds[:, 2], (anchors, floor), rtol=1e-4)
-
-
-def test_robots_are_found_by_name():
-    for name in ROBOTS:
-        assert find_robot(name).name == name
-    assert find_robot(UNEQUAL) is UNEQUAL
-    with pytest.raises(
-        ValueError, match=r"choose one of planar, .*, a .toml or .json file, or pass a Robot"
-    ):
-        find_robot("cubical")
 
 
 # --- errors -------------------------------------------------------------------------------------------------------

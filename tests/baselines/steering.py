@@ -26,10 +26,10 @@ def steering_of(env_id=PLANAR_ID, base=None, action_mapping=None, features=FEATU
     )
 
 
-def network_of(steering, *, scale=1.0, hidden=(8,), seed=1):
+def network_of(steering, *, scale=1.0):
     """A random network; with a scale of 0 its output is zero."""
-    draw = np.random.default_rng(seed)
-    sizes = (steering.inputs, *hidden, steering.actions)
+    draw = np.random.default_rng(1)
+    sizes = (steering.inputs, 8, steering.actions)
     pairs = list(pairwise(sizes))
     return Network(
         mean=draw.normal(size=steering.inputs),
@@ -50,11 +50,11 @@ def springs(**shift):
     return bundle_of(Base(law="composite"), Shift(degree=4, **shift), FLEX_SPATIAL_ID)
 
 
-def observations(env_id, steps, envs=4):
-    """Observations (steps, envs, size) of a classical law with different payloads, and the
+def observations(env_id, steps):
+    """Observations (steps, 4, size) of a classical law with different payloads, and the
     tasks."""
-    env = gym.make_vec(env_id, num_envs=envs)
-    observation, _ = env.reset(seed=3, options={"payload": np.linspace(0.0, 1.5, envs)})
+    env = gym.make_vec(env_id, num_envs=4)
+    observation, _ = env.reset(seed=3, options={"payload": np.linspace(0.0, 1.5, 4)})
     policy = load_policy("motor-pd" if "Flex" in env_id else "fl", ROBOTS[env_id])
     rows = []
     for _ in range(steps):

@@ -62,10 +62,9 @@ def test_actions_equal_the_paper_s_equations(robot, motors, gains, minimum):
         + stiffness * (x["reference_pose"] - x["pose"])
     )
     mass = robot.mass + x["model_payload"][:, 0]
-    tensions = textbook.required_tensions(robot, mass, x["pose"], x["velocity"], v, minimum=minimum)
-    torques = textbook.required_torques(robot, tensions, x["pose"], x["velocity"], v)
-    speeds = textbook.pulley_speed(robot, x["pose"], x["velocity"])
-    expected = textbook.normalised_action(robot, torques, speeds)
+    motion = x["pose"], x["velocity"], v
+    inverse = textbook.inverse_dynamics(robot, mass, *motion, minimum=minimum)
+    expected = textbook.normalised_action(robot, inverse.torques, inverse.speeds)
     tolerance = 1e-9 * np.abs(expected).max()
     action, _ = law.predict(observation)
     assert_allclose(action, expected, rtol=1e-9, atol=tolerance)

@@ -122,8 +122,7 @@ def test_torques_equal_the_paper_s_equation():
     blocks = law.split(observation)
     motion = blocks["pose"], blocks["velocity"], law.outer(blocks)
     mass = FLEX_SPATIAL.mass + np.arange(3.0)
-    tensions = textbook.required_tensions(FLEX_SPATIAL, mass, *motion)
-    expected = textbook.required_torques(FLEX_SPATIAL, tensions, *motion)
-    expected += FLEX_SPATIAL.motor_inertia * textbook.pulley_acceleration(FLEX_SPATIAL, *motion)
+    inverse = textbook.inverse_dynamics(FLEX_SPATIAL, mass, *motion)
+    expected = inverse.torques + FLEX_SPATIAL.motor_inertia * inverse.pulley_accelerations
     torques, _ = law.torques(blocks, mass)
     assert_allclose(torques, expected, rtol=1e-9)

@@ -137,11 +137,6 @@ def test_invalid_parameters_are_rejected(make):
         make()
 
 
-def test_parameters_of_a_base_reach_the_law():
-    law = Base(gains=(7.0, 3.0), minimum_tension=2.0).make(PLANAR)
-    assert (law.outer.gains, law.minimum_tension) == ((7.0, 3.0), 2.0)
-
-
 def test_network_equals_its_layers():
     draw = np.random.default_rng(0)
     weights = (draw.normal(size=(3, 2)), draw.normal(size=(4, 3)))

@@ -15,7 +15,6 @@ from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_baselines.learned.wrappers import PayloadCurriculum, Steered
 
 PLANAR_ID = "CableBot-Planar-v0"
-SPATIAL_ID = "CableBot-Spatial-v0"
 FLEX_ID = "CableBot-FlexSpatial-v0"
 
 OBSERVED = (

@@ -30,22 +30,16 @@ LARGEST = {
 """Payloads that exact tracking carries [kg]."""
 
 
-def observing(env_id, uncertainty, largest_payload):
-    """The adaptive law of a robot behind an observer."""
-    robot = ROBOTS[env_id]
-    expectation = Expectation.of(robot, uncertainty)
-    if robot.flexible:
-        law = make_composite(expectation.robot)
-    else:
-        law = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
-    return ObserverLaw(law, expectation, largest_payload=largest_payload)
-
-
 def episodes(env_id, uncertainty, payload, steps, **keywords):
     """Estimates of every step, the truth, and the peaks of the position error of N episodes."""
     robot = ROBOTS[env_id]
     uncertainty = find_uncertainty(uncertainty, robot)
-    law = observing(env_id, uncertainty, LARGEST[env_id])
+    expectation = Expectation.of(robot, uncertainty)
+    if robot.flexible:
+        base = make_composite(expectation.robot)
+    else:
+        base = FeedbackLinearization(expectation.robot, gains=(400.0, 40.0))
+    law = ObserverLaw(base, expectation, largest_payload=LARGEST[env_id])
     env = gym.make_vec(
         env_id,
         num_envs=len(payload),

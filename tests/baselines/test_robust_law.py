@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from cablebot_baselines.laws import ROBUST, RobustPD
-from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
+from cablebot_baselines.laws import RobustPD
 
 GAINS = (30.0, 20.0)
 
@@ -37,12 +36,3 @@ def test_term_equals_the_corrected_equations(layer):
     assert_allclose(loop.switching(blocks), s, rtol=1e-12)
     batch = {name: np.stack([value, 0.1 * value]) for name, value in blocks.items()}
     assert_allclose(loop(batch)[0], expected, rtol=1e-12)
-
-
-def test_options_reach_the_robust_term():
-    options = {"gains": (50.0, 20.0), "boundary_layer": 2e-3, "zeta": 0.3, "phi": 2.0}
-    for robot in (SPATIAL, FLEX_SPATIAL):
-        outer = ROBUST.factory(robot, **options).outer
-        assert isinstance(outer, RobustPD)
-        for name, value in options.items():
-            assert getattr(outer, name) == value

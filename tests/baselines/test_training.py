@@ -83,12 +83,6 @@ def trained(tmp_path_factory):
     return out
 
 
-@pytest.fixture
-def copied(trained, tmp_path):
-    """A copy of the finished run."""
-    return shutil.copytree(trained, tmp_path / "run")
-
-
 def test_shipped_configurations_are_valid():
     for env_id in ENV_IDS:
         config = find_config(env_id)
@@ -177,9 +171,10 @@ def test_same_seed_gives_the_same_weights(trained, tmp_path):
         assert same == (seed == 3)
 
 
-def test_resumed_run_continues_from_the_saved_model(copied, monkeypatch):
+def test_resumed_run_continues_from_the_saved_model(trained, tmp_path, monkeypatch):
     """Without updates the weights stay, while normalisation, curriculum, evaluations and log
     continue."""
+    copied = shutil.copytree(trained, tmp_path / "run")
     before = weights(copied / "last.zip")
     state = json.loads((copied / "run.json").read_text())
     (copied / "run.json").write_text(json.dumps(state | {"payload_ceiling": 1.25}))

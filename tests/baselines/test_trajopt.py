@@ -1,7 +1,6 @@
 """The policy that plans a motion within the error bounds and tracks it."""
 
 import logging
-import sys
 from unittest.mock import Mock
 
 import gymnasium as gym
@@ -125,9 +124,6 @@ def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 
-def test_motor_lag_and_missing_casadi_raise(monkeypatch):
+def test_motor_lag_raises():
     with pytest.raises(ValueError, match="motors without lag"):
         TrajOpt(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))
-    monkeypatch.setitem(sys.modules, "casadi", None)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[optimal\]'"):
-        TrajOpt(PLANAR)

@@ -23,12 +23,12 @@ def _failing(random, size, rate):
     return np.where(random.random(size) < rate, 0.0, random.beta(20, 5, size))
 
 
-def coverage(draw, motions, boards, seed=1):
+def coverage(draw, motions, boards):
     """Fractions of boards whose interval covers the true mean, lies below and lies above it.
 
     ``draw`` returns fractions of independent motions from a random generator and their number.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(1)
     truth = draw(random, TRUTH).mean()
     below = above = 0
     for _ in range(boards):
@@ -38,21 +38,15 @@ def coverage(draw, motions, boards, seed=1):
     return 1 - (below + above) / boards, below / boards, above / boards
 
 
-def equal_policies(random, policies, motions, rate):
-    """Fractions of equal policies, (policies, motions)."""
-    difficulty = random.beta(6, 2, motions)
-    values = (difficulty + random.normal(0, 0.03, (policies, motions))).clip(0, 1)
-    values[random.random(values.shape) < rate] = 0.0
-    return values
-
-
-def false_boards(policies, motions, rate, boards, fewer=False, seed=2):
+def false_boards(policies, motions, rate, boards, fewer):
     """Fraction of boards of equal policies with at least one order; if ``fewer``, the second half
     of the policies has run :data:`FEWER_MOTIONS` only."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(2)
     false = 0
     for _ in range(boards):
-        values = equal_policies(random, policies, motions, rate)
+        difficulty = random.beta(6, 2, motions)
+        values = (difficulty + random.normal(0, 0.03, (policies, motions))).clip(0, 1)
+        values[random.random(values.shape) < rate] = 0.0
         if fewer:
             values[policies // 2 :, FEWER_MOTIONS:] = np.nan
         false += better_policies(values).any()

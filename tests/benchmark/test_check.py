@@ -1,7 +1,6 @@
 """Check of stored results: rows that are missing, of chosen motions, or with another payload."""
 
 from dataclasses import replace
-from functools import partial
 
 import pytest
 from benchmark.made_rows import PLANAR, answered
@@ -44,11 +43,6 @@ def chosen_motion(rows):
     ]
 
 
-def last_with(rows, **conditions):
-    *others, last = rows
-    return [*others, changed(last, **conditions)]
-
-
 @pytest.mark.parametrize(
     ("change", "missing", "unexpected"),
     [
@@ -56,7 +50,7 @@ def last_with(rows, **conditions):
         (lambda rows: rows[1:], 1, 0),  # the first best known payload
         (lambda rows: rows[:-1], 1, 0),  # the last motion of a policy
         (chosen_motion, 3, 3),
-        (partial(last_with, robot="flex-planar"), 1, 1),
+        (lambda rows: [*rows[:-1], changed(rows[-1], robot="flex-planar")], 1, 1),
     ],
 )
 def test_rows_of_results_are_those_of_their_suite(honest, change, missing, unexpected):

@@ -54,10 +54,6 @@ def always_killed():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def run(address, jobs, returned=(WorkerDied,)):
-    return dict(on_ray(address)(jobs, print, returned))
-
-
 @pytest.mark.landing
 def test_rows_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
     messages = []
@@ -74,7 +70,7 @@ def test_rows_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
 def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
     jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
-    outcomes = run(address, jobs)
+    outcomes = dict(on_ray(address)(jobs, print, (WorkerDied,)))
     assert outcomes["killed"] == "computed"
     assert isinstance(outcomes["deadly"], WorkerDied)
     assert "died" in str(outcomes["deadly"])

@@ -5,17 +5,14 @@ import json
 import os
 import sys
 from dataclasses import fields, replace
-from importlib.metadata import EntryPoint
 
 import pytest
 from benchmark.made_rows import PLANAR, asked
 
-from cablebot_gym.benchmark import policy_source as policy_sources
 from cablebot_gym.benchmark.rows import WITHOUT_EFFECT, compute, jobs, row_from_dict
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.isolation.process import has_bubblewrap
-from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils import code_hash
 
@@ -216,15 +213,6 @@ def test_fallbacks_are_counted_per_episode(module):
 # --- hash of the code -------------------------------------------------------------------------------------------------
 
 
-def sources(module, policy, files):
-    """Hashes of the code of a policy after each file is written."""
-    hashes = []
-    for name, text in files:
-        module(name, text)
-        hashes.append(changed(policy).present_code)
-    return hashes
-
-
 IMPORTED = "from toy_package.gains import K\n"
 FLAT = "import numpy, toy_helper, toy_package.other\ndef make(robot): ...\n"
 BOTH = "from toy_package.law import make\nfrom toy_package.other import K\n"
@@ -268,29 +256,10 @@ def test_hash_follows_the_code_of_a_policy(module, policy, files, writes):
         module(f"toy_package/{name}", text)
     before = changed(policy).present_code
     for name, text, is_other in writes:
-        (after,) = sources(module, policy, [(f"toy_package/{name}", text)])
+        module(f"toy_package/{name}", text)
+        after = changed(policy).present_code
         assert (after != before) == is_other, name
         before = after
-
-
-def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
-    for name, text in (
-        ("__init__.py", ""),
-        ("law.py", "K = 1\n"),
-        ("own.bin", "1"),
-        ("card.json", "1"),
-    ):
-        path = module(f"toy_package/{name}", text)
-    files = (path.parent / "own.bin",)
-    entry = PolicyEntry(
-        name="toy", kind="learned", env_ids=(), factory=lambda robot: None, summary="", files=files
-    )
-    point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
-    monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
-    monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
-    changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
-    hashes = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
-    assert hashes[0] == hashes[1] != hashes[2]
 
 
 def test_hash_has_plant_judge_and_the_law_alone():

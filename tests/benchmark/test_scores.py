@@ -33,10 +33,6 @@ def score_values(records):
     return [score.score for score in scores(records)]
 
 
-def payloads(found_scores):
-    return [score.payload for score in found_scores]
-
-
 def test_score_is_the_fraction_of_the_best_known_payload():
     records = [
         best(2.0),
@@ -68,12 +64,12 @@ def test_score_needs_a_best_known_payload(outcome):
 # --- several motions --------------------------------------------------------------------------------------------------
 
 
-def family(policies, count=RANKED_MOTIONS, env_id=PLANAR):
+def family(policies, count=RANKED_MOTIONS):
     """Best known payloads of 1 kg and payloads of policies on motions, given as arrays."""
-    records = [best(1.0, motion, env_id) for motion in LOOPS[:count]]
+    records = [best(1.0, motion) for motion in LOOPS[:count]]
     for policy, values in policies.items():
         for motion, payload in zip(LOOPS, values, strict=False):
-            records.append(carries(policy, payload, motion, env_id=env_id))
+            records.append(carries(policy, payload, motion))
     return records
 
 

@@ -90,13 +90,6 @@ def test_ranked_suite_has_every_policy_on_the_first_hidden_motions():
         assert found["best-known"] == expected
 
 
-def test_each_motion_of_a_family_has_robots_of_its_own():
-    seeds = [row.conditions.seed for row in payload_rows("ranked", ["fl"]) if row.family]
-    assert len(set(seeds[:20])) == 20
-    others = payload_rows("ranked", ["robust"])
-    assert [row.conditions.seed for row in others if row.family][:20] == seeds[:20]
-
-
 def test_slow_policy_is_evaluated_in_marked_rows_only(monkeypatch):
     entries = policy_entries()
     assert [name for name, entry in entries.items() if entry.slow] == ["nmpc"]

@@ -144,11 +144,9 @@ def feasible(robot, trajectory, minimum, total_masses):
     shape = (len(total_masses), *x.position.shape)
     motion = [np.broadcast_to(a, shape) for a in (x.position, x.velocity, x.acceleration)]
     masses = np.broadcast_to(total_masses[:, None], shape[:2])
-    tension = textbook.required_tensions(robot, masses, *motion, minimum=minimum)
-    torque = textbook.required_torques(robot, tension, *motion)
-    speed = textbook.pulley_speed(robot, *motion[:2])
-    action = torque / robot.stall_torque + speed / robot.motors.free_speed
-    return np.all((np.abs(action) <= 1) & (tension >= minimum), axis=(1, 2))
+    inverse = textbook.inverse_dynamics(robot, masses, *motion, minimum=minimum)
+    action = textbook.normalised_action(robot, inverse.torques, inverse.speeds)
+    return np.all((np.abs(action) <= 1) & (inverse.tensions >= minimum), axis=(1, 2))
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -40,9 +40,6 @@ class interrupted(Toy):
         os.kill(os.getpid(), signal.SIGINT)
         return action
 
-def unmakeable(robot):
-    raise RuntimeError("no factory today")
-
 def clipped(robot):
     law = FeedbackLinearization(robot)
     return lambda observation: np.clip(law.predict(observation)[0], -1, 1)
@@ -53,9 +50,6 @@ def limp(robot):
 def declares(robot):
     return FeedbackLinearization(robot)
 """
-
-LOST = 1 + next(index for index, line in enumerate(TOYS.splitlines()) if "lost" in line)
-"""Line of the toys that raises."""
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,6 @@ cli.add_commands(cli.command_points())
 COMMANDS = cli.named_commands(typer.main.get_command(cli.app))
 
 
-def examples_of(help_text):
-    """The lines of a help that can be typed."""
-    return re.findall(r"^(?:Example: )?cablebot (.+)$", help_text, re.MULTILINE)
-
-
 def parse(line):
     """Parses a line without running it."""
     words = shlex.split(line, comments=True)
@@ -40,7 +35,7 @@ def parse(line):
 def test_help_has_valid_examples_and_a_text_for_every_option(cablebot, name):
     ended = cablebot(name, "--help")
     assert (ended.status, ended.err) == (0, "")
-    examples = examples_of(COMMANDS[name].help)
+    examples = re.findall(r"^(?:Example: )?cablebot (.+)$", COMMANDS[name].help, re.MULTILINE)
     assert examples
     for example in examples:
         assert f"{example} ".startswith(f"{name} ")
@@ -49,12 +44,6 @@ def test_help_has_valid_examples_and_a_text_for_every_option(cablebot, name):
         assert getattr(option, "help", None), option.name
     line = cablebot(name, "--no-such-option").message(2)
     assert line == f"cablebot: No such option: --no-such-option. Example: cablebot {examples[0]}\n"
-
-
-def test_help_lists_every_command(cablebot):
-    shown = cablebot("--help").out
-    for name in COMMANDS:
-        assert f"\n  {name}  " in shown
 
 
 def test_commands_of_the_readme_are_valid():
@@ -77,12 +66,10 @@ ERRORS = (
     ("robot nosuch", 2, "robot check"),
     ("dlcc --policy fl", 2, "give an environment id, one of"),
     (f"dlcc CableBot-Cubic-v0 {POLICY}", 2, "choose one of CableBot-Planar-v0, CableBot-Spatial"),
-    (f"dlcc {SPATIAL} --policy lqr", 2, "unknown policy 'lqr'; choose one of "),
     (FL + "--trajectory {", 2, "--trajectory is not valid JSON"),
     (FL + "--payload-max -1", 2, "payload_max must be"),
     (FL + "--uncertainty table6 --draws 2.5", 2, "--draws"),
     (FL + "--out file/below", 2, "cannot write to folder"),
-    (f"compare {SPATIAL}", 2, "--policies"),
     (f"compare {SPATIAL} --policies ,", 2, "name at least one policy, such as fl"),
     (PAIR + "--wrapper x.pkl", 2, "--wrapper does not apply to installed policies, such as fl"),
     (PAIR + "--payload ''", 2, "--payload must be a number, a list such as 0,1,2, or FIRST:"),
@@ -98,7 +85,6 @@ ERRORS = (
         2,
         "--time is for a picture: name a .png file",
     ),
-    (f"video {PLANAR} {POLICY}", 2, "--out"),
     (
         f"video {PLANAR} --out a.png {POLICY} --time 9",
         2,

@@ -4,7 +4,7 @@ import json
 import sys
 
 import pytest
-from cli.conftest import LOST, names, read_json
+from cli.conftest import names, read_json
 
 from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.robots import library
@@ -82,23 +82,6 @@ def test_paper_criterion_does_not_apply_to_saturated_actions(cablebot, toys):
     clipped = f"{QUICK} --no-isolate --policy {toys('clipped')}"
     assert " n/a " in cablebot(clipped).out
     assert [result["criterion"] for result in cablebot(clipped, "--json").data] == ["task"]
-    assert "unsaturated_actions" in cablebot(f"{clipped} --criterion paper").message(2)
-
-
-def test_unsaturated_actions_of_other_policies_are_marked(cablebot, toys):
-    paper = f"{QUICK} --criterion paper"
-    assert "declared" not in cablebot(paper).out
-    assert "paper (declared)" in cablebot(paper, "--policy", toys("declares")).out
-
-
-def test_error_of_a_policy_names_its_line(cablebot, toys):
-    name = toys("raises")
-    line = cablebot(f"dlcc {PLANAR} --policy {name} --out new").message(1)
-    start = f"cablebot: policy '{name}', at t = 0.020 s with payloads of 0 to 10 kg"
-    assert line.startswith(start)
-    assert f"RuntimeError: lost (cli_toys.py, line {LOST})" in line
-    made = cablebot(f"dlcc {PLANAR} --policy", toys("unmakeable"))
-    assert "no factory today" in made.message(2)
 
 
 @pytest.mark.landing

@@ -1,9 +1,6 @@
 """``cablebot rollout`` and ``video``: recorded arrays, options and files. Mistakes are in
 test_commands."""
 
-import re
-
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -25,25 +22,6 @@ def test_rollout_records_the_payload_motion_and_frequency(cablebot, tmp_path):
         times = np.arange(1, 841) / 400  # with two dwells of 0.3 s
         assert_allclose(file["time"], times, atol=1e-12)
         assert_array_equal(file["payload"], 0.5)
-
-
-@pytest.mark.landing
-def test_options_reach_the_episode(cablebot, tmp_path):
-    def run(options):
-        path = tmp_path / "run.npz"
-        assert cablebot(f"rollout {SPATIAL} --policy fl --out {path} {options}").status == 0
-        with np.load(path) as file:
-            return file["commanded_action"][0], file["pose"]
-
-    empty, plain = run("")
-    unknown, _ = run("--payload 3 --payload-unknown")
-    scaled, _ = run("--payload 3 --model-payload-factor 0.9")
-    assert_array_equal(empty, unknown)
-    assert np.all(np.abs(empty - scaled) > 1e-3)
-    _, drawn = run("--uncertainty table6")
-    _, reseeded = run("--uncertainty table6 --seed 1")
-    assert np.abs(plain - drawn).max() > 1e-6
-    assert np.abs(drawn - reseeded).max() > 1e-6
 
 
 @pytest.mark.landing
@@ -74,18 +52,6 @@ def test_unfinished_episode_leaves_the_old_file(cablebot, toys, tmp_path, name, 
 
 
 # --- pictures ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.nightly
-def test_video_shows_two_policies(cablebot, tmp_path):
-    path = tmp_path / "new" / "both.mp4"
-    options = "--policy 'fl, robust' --payload 3 --speed 4 --size 320x240"
-    ended = cablebot(f"video {SPATIAL} --out {path} {options}")
-    assert ended.status == 0
-    assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 13 + 30
-    row = rf"(fl|robust) on {SPATIAL}, 3 kg, task criterion: .*carried.*"
-    assert re.fullmatch(row, ended.out.splitlines()[1])
-    assert f"wrote {path}" in ended.err.replace("\n", "")
 
 
 @pytest.mark.landing

@@ -1,7 +1,5 @@
 """``render()`` of both environments."""
 
-import sys
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -15,15 +13,11 @@ from cablebot_gym.rendering.painter import import_pygame
 pygame = import_pygame()
 
 
-@pytest.fixture
-def without_display(monkeypatch):
+@pytest.mark.landing
+def test_gymnasium_check_env_passes_without_display(monkeypatch):
+    """It makes the environment again in every render mode, including ``human``."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)
-
-
-@pytest.mark.landing
-def test_gymnasium_check_env_passes_without_display(without_display):
-    """It makes the environment again in every render mode, including ``human``."""
     env = gym.make("CableBot-FlexPlanar-v0", render_mode="human")
     check_env(env.unwrapped)
     env.close()
@@ -65,11 +59,3 @@ def test_vector_environment_paints_the_pictures_of_single_ones():
             assert_array_equal(result[0], observation)
     assert_array_equal(envs.render(), [single.render() for single in singles])
     assert not np.array_equal(*envs.render())
-
-
-def test_render_needs_pygame(monkeypatch):
-    painted = {"render_mode": "rgb_array"}
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    make(PLANAR)
-    with pytest.raises(ImportError, match=r"pip install 'cablebot-gym\[render\]'"):
-        make(PLANAR, **painted)

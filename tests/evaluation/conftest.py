@@ -32,12 +32,12 @@ class Dropping(Law):
         return np.where(self.lets_go(payload)[..., None], 0.0, super().act(observation))
 
 
-def verdict_of(violation=None, payload=1.0):
+def verdict_of(violation=None):
     """The verdict of an episode with a violation, or with None."""
     return Verdict(
         carried=violation is None,
         violation=violation,
-        payload=payload,
+        payload=1.0,
         peak_action=(0.5, 0.5),
         position_peak=0.005,
         rotation_peak=0.01,

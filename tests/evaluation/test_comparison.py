@@ -16,7 +16,6 @@ from cablebot_gym.evaluation.batch import draw_seeds, noise_seed
 from cablebot_gym.evaluation.comparison import QUANTITIES
 
 SPATIAL_ID = "CableBot-Spatial-v0"
-PLANAR_ID = "CableBot-Planar-v0"
 MOVE = {"name": "line-spatial", "duration": 0.4, "dwell": 0.0}
 
 

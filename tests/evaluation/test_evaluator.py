@@ -271,11 +271,6 @@ def test_rollout_equals_an_episode_of_the_single_environment(tmp_path):
         if index < 100:
             observation, reward, _, _, info = env.step(policy.predict(observation)[0])
             assert rollout.arrays["reward"][index] == reward
-    rollout.save(str(tmp_path / "run.npz"))
-    with np.load(tmp_path / "run.npz") as file:
-        assert set(file) == set(rollout.arrays)
-        for name, array in rollout.arrays.items():
-            assert_array_equal(file[name], array)
     rollout.save(str(tmp_path / "run.csv"))
     head, *lines = (tmp_path / "run.csv").read_text().splitlines()
     columns = dict(zip(head.split(","), np.loadtxt(lines, delimiter=",").T, strict=True))

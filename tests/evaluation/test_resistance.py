@@ -13,10 +13,9 @@ from cablebot_gym.evaluation.batch import ALONE, RISK, STOCHASTIC_ALONE, Batch
 from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.evaluation.motion_search import SCAN_POINTS
 from cablebot_gym.evaluation.repetition import first_difference
-from cablebot_gym.evaluation.search import FINER, REPEATED_DRAWS, SEARCH_DRAWS
+from cablebot_gym.evaluation.search import FINER, SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import plausible_successes
 from cablebot_gym.evaluation.timing import WARM_UP
-from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.robots import SPATIAL
 from cablebot_gym.task import ErrorBounds
 
@@ -70,19 +69,6 @@ def test_stochastic_policy_gets_the_payload_that_it_carries_alone(batches, uncer
     assert result.details.violation_seed not in result.draw_seeds
 
 
-class Counts(Law):
-    """Its actions depend on the size of the batch a little."""
-
-    def act(self, observation):
-        return super().act(observation) * (1 + 1e-4 * (len(observation) == 2 * REPEATED_DRAWS))
-
-
-@pytest.mark.landing
-def test_policy_that_acts_differently_in_the_repeated_batch_raises():
-    with pytest.raises(PolicyError, match="depends on the other"):
-        evaluated(Counts(), uncertainty="sensors", draws=60)
-
-
 CARRIED = verdict_of()
 SLACK = verdict_of(Violation(kind="slack", index=1, time=0.1, excess=None))
 
@@ -122,13 +108,6 @@ def test_policy_gets_copies_of_tasks_and_robots():
     assert result.payload == honest.payload
     assert result.details.margins == honest.details.margins
     assert (SPATIAL.minimum_tension, SPATIAL.motors.stall_torque) == (1.0, 10.0)
-
-
-def test_result_tells_whether_the_policy_was_isolated():
-    assert "isolated" not in str(evaluated("fl"))
-    assert "not isolated" in str(evaluated(Law(), name="mine"))
-    with IsolatedPolicy("fl", SPATIAL) as policy:
-        assert ", isolated" in str(evaluated(policy))
 
 
 @pytest.fixture
@@ -268,16 +247,11 @@ class Slow(Law):
         return super().act(observation)
 
 
-@pytest.fixture
-def clock(monkeypatch):
+@pytest.mark.parametrize("payload", [0.0, 19.0])
+def test_times_of_actions(monkeypatch, payload):
+    """Also of those after a violation, which the larger payload causes at once."""
     clock = Clock()
     monkeypatch.setattr(timing, "time", clock)
-    return clock
-
-
-@pytest.mark.parametrize("payload", [0.0, 19.0])
-def test_times_of_actions(clock, payload):
-    """Also of those after a violation, which the larger payload causes at once."""
     times = time_actions(Slow(clock), SPATIAL_ID, payload=payload, trajectory=HANG)
     late = [
         calls % 4 == 0 for calls in range(WARM_UP + 1, round(HANG["duration"] / times.period) + 1)

@@ -9,7 +9,7 @@ from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
 from cablebot_gym.evaluation import survey as survey_module
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.judge import Violation
-from cablebot_gym.evaluation.survey import ROBOTS, motion_seeds, survey
+from cablebot_gym.evaluation.survey import motion_seeds, survey
 from cablebot_gym.policies import PolicyError
 
 PLANAR = "CableBot-Planar-v0"
@@ -44,11 +44,6 @@ def test_all_robots_carry_the_payload_and_one_fails_above():
         assert found.below.carried == 4
         assert found.above.carried < len(found.above.verdicts)
         assert found.violation is not None
-
-
-def test_further_robot_carries_the_payload_with_a_probability_of_95_percent():
-    """One of N + 1 robots is the weakest, each with the same probability."""
-    assert 1 - 1 / (ROBOTS + 1) == 0.95
 
 
 def test_motion_keeps_its_robots_and_payloads_when_more_motions_follow(monkeypatch):

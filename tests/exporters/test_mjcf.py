@@ -26,15 +26,6 @@ pytest.importorskip("mujoco", reason="needs the extra cablebot-gym[mujoco]")
 STEP = 2.5e-4
 
 
-def at_rest(robot):
-    """The exported robot with a payload, its mass [kg], and torques r T at rest at home."""
-    payload = robot.defaults.payload() + 0.1 * robot.mass
-    mass = robot.mass + payload
-    torques = textbook.static_torque(robot, mass, robot.home)
-    exported = export_mjcf(robot, payload=payload, timestep=STEP, holding_torques=torques)
-    return exported, mass, torques
-
-
 def damped(robot):
     """The robot with its torque-speed lines as damping, which follows the speed at once: the motors
     of the plant keep the speed of the start of a control period."""
@@ -44,9 +35,13 @@ def damped(robot):
 
 
 def after_one_second(name):
-    """How far a robot moves from rest at home under a smooth excitation, and how far from MuJoCo it
-    ends [m, rad]."""
-    exported, mass, torques = at_rest(find_robot(name))
+    """How far a robot with a payload moves from rest at home under a smooth excitation, and how far
+    from MuJoCo it ends [m, rad]."""
+    robot = find_robot(name)
+    payload = robot.defaults.payload() + 0.1 * robot.mass
+    mass = robot.mass + payload
+    torques = textbook.static_torque(robot, mass, robot.home)
+    exported = export_mjcf(robot, payload=payload, timestep=STEP, holding_torques=torques)
     robot = exported.robot
     peer = MujocoRobot(robot, exported=exported.text)
     peer.set_keyframe(0)

@@ -151,20 +151,6 @@ def test_invalid_number_of_fallbacks_is_dropped(spec):
         assert policy.fallbacks == 0
 
 
-def test_policy_is_loaded_once_for_all_batches(spec, env, monkeypatch):
-    """Importing and loading a model takes seconds of processor time."""
-    processes = []
-    start = PolicyProcess.__init__
-    monkeypatch.setattr(
-        PolicyProcess, "__init__", lambda self: processes.append(self) or start(self)
-    )
-    with IsolatedPolicy(spec("counts"), SPATIAL) as policy:
-        for _ in range(3):
-            policy.reset(env.tasks)
-            policy.predict(np.zeros((5, 3)))
-    assert len(processes) == 1
-
-
 @pytest.mark.usefixtures("bare")
 def test_process_gets_tasks_few_variables_and_empty_folders(spec, env, monkeypatch):
     monkeypatch.setenv("MY_SECRET_SEED", "7")

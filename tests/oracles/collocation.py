@@ -28,7 +28,8 @@ def largest_payload(robot, trajectory, error_bounds, *, nodes, period):
     pose, velocity, acceleration = _states(opti, robot.coordinates, times, reference)
     opti.subject_to(pose[:, 0] == start_pose(robot, trajectory, error_bounds))
     opti.subject_to(velocity[:, 0] == trajectory(0.0).velocity)
-    _keep_error_bounds(opti, pose[:, 1:], reference[1:].T, error_bounds)
+    error = (pose[:, 1:] - reference[1:].T) / error_bounds.position
+    opti.subject_to(ca.vec(ca.sum1(error**2)) <= 1)
     columns = [pose, velocity, acceleration]
     if robot.flexible:
         rest_angles = textbook.static_motor_angle(robot, robot.mass, reference)
@@ -71,11 +72,6 @@ def _states(opti, count, times, values):
     opti.set_initial(value, values.T)
     opti.set_initial(rate, np.gradient(values, step, axis=0).T)
     return value, rate, second
-
-
-def _keep_error_bounds(opti, pose, reference, error_bounds):
-    error = (pose - reference) / error_bounds.position
-    opti.subject_to(ca.vec(ca.sum1(error**2)) <= 1)
 
 
 def _stage(robot, period):

@@ -166,14 +166,14 @@ def random_states(robot, count, seed=1, reach=0.6):
     return State(pose, velocity, angle, rng.uniform(-30, 30, actions.shape)), actions
 
 
-def wound_states(robot, count, tension=400.0, spread=2.5):
+def wound_states(robot, count):
     """Random states near home of a robot with elastic cables, wound as at rest, whose tensions lie
-    between ``1 − spread`` and ``1 + spread`` of ``tension``."""
+    between −600 N and 1400 N."""
     random = np.random.default_rng(1)
     size = (count, robot.coordinates)
     pose = robot.home + random.uniform(-0.15, 0.15, size)
     velocity = random.normal(size=size) / 3
-    tensions = tension * (1 + spread * random.uniform(-1, 1, (count, robot.cables)))
+    tensions = 400 * (1 + 2.5 * random.uniform(-1, 1, (count, robot.cables)))
     angle = textbook.rest_angles(robot, tensions, pose)
     return State(pose, velocity, angle, textbook.pulley_speed(robot, pose, velocity))
 

@@ -35,17 +35,12 @@ def folders(tmp_path, monkeypatch):
     return set_folders
 
 
-@pytest.fixture
-def unwritable(tmp_path):
-    """A folder in which nobody can write, not even root."""
+def test_read_only_folder_is_read(folders, tmp_path):
+    """Nobody can write into a folder below a file, not even root."""
     (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    return tmp_path / "file" / "folder"
-
-
-def test_read_only_folder_is_read(folders, tmp_path, unwritable):
     folders(tmp_path)
     hits()
-    folders(tmp_path, unwritable)
+    folders(tmp_path, tmp_path / "file" / "folder")
     assert hits() == 1
 
 

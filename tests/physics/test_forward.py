@@ -28,7 +28,12 @@ each_robot = each_of(
 @each_robot
 def test_lengths_give_the_least_squares_pose(robot):
     """The pose itself, if they are exact."""
-    poses, lengths, guess = case(robot, 100)
+    _, poses, *_ = random_motion(robot, (100,), spread=0.1)
+    error = np.random.default_rng(0).uniform(-1, 1, poses.shape)
+    if not robot.planar:
+        poses[:, 2] += 0.2  # below the base of the suspended robot
+    lengths = textbook.cable_lengths(robot, poses)
+    guess = poses + 0.02 * error
     assert np.abs(forward_kinematics(robot, lengths, guess) - poses).max() < 1e-10
     wrong = (lengths + np.random.default_rng(1).normal(0, 5e-3, lengths.shape))[:8]
     found = forward_kinematics(robot, wrong, guess[:8])
@@ -43,15 +48,6 @@ def test_lengths_give_the_least_squares_pose(robot):
         assert_allclose(found[k], best.x, atol=1e-7)
         # a lane of a tile does not see the other ones, or wait for them
         assert_array_equal(forward_kinematics(robot, measured, guess[k]), found[k])
-
-
-def case(robot, count):
-    """Poses, their cable lengths and guesses."""
-    _, poses, *_ = random_motion(robot, (count,), spread=0.1)
-    error = np.random.default_rng(0).uniform(-1, 1, poses.shape)
-    if not robot.planar:
-        poses[:, 2] += 0.2  # below the base of the suspended robot
-    return poses, textbook.cable_lengths(robot, poses), poses + 0.02 * error
 
 
 def test_lengths_of_another_robot_raise():

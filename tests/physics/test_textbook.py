@@ -15,14 +15,6 @@ from cablebot_gym import kinematics
 from cablebot_gym.physics import textbook
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
 
-
-def least_by_linear_program(structure, load, minimum, cost):
-    cables = structure.shape[0]
-    return linprog(
-        cost, A_eq=-structure.T, b_eq=load, bounds=[(minimum, None)] * cables, method="highs"
-    )
-
-
 coordinate = st.floats(-0.2, 0.2)
 force = st.floats(-20, 20).filter(lambda value: value == 0 or abs(value) > 1e-3)
 
@@ -39,7 +31,8 @@ force = st.floats(-20, 20).filter(lambda value: value == 0 or abs(value) > 1e-3)
 def test_tensions_are_the_least_of_a_linear_program(x, y, fx, fy, minimum, robot):
     structure = textbook.jacobian(robot, [x, y])
     load = np.array([fx, fy])
-    best = least_by_linear_program(structure, load, minimum, np.ones(robot.cables))
+    bounds = [(minimum, None)] * robot.cables
+    best = linprog(np.ones(robot.cables), A_eq=-structure.T, b_eq=load, bounds=bounds)
     assume(best.status == 0)  # a corner of the box may lie outside the triangle
     tensions = textbook.tension_distribution(structure, load, minimum)
     assert_allclose(-structure.T @ tensions, load, rtol=0, atol=1e-10)

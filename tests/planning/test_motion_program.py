@@ -107,9 +107,8 @@ def test_elastic_stage_agrees_with_inverse_dynamics(name):
     angle = textbook.rest_angles(robot, inverse.tensions, state[0])
     speed = inverse.speeds[0]
     acceleration = np.arange(robot.cables) - 2.0
-    torque = textbook.holding_torque(robot, robot.pulley_radius * tensions)
-    torque += robot.pulley_inertia * acceleration + robot.damping * speed
     pulled = textbook.holding_torque(robot, robot.pulley_radius * tensions)
+    torque = pulled + robot.pulley_inertia * acceleration + robot.damping * speed
     friction = robot.coulomb_friction + robot.load_friction * pulled
     torque += friction * speed / np.hypot(speed, robot.transmission.friction_speed)
     motors = angle[0], speed, acceleration

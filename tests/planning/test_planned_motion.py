@@ -5,10 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from oracles.episodes import make
 
-from cablebot_gym.motions import ORDERS, find_trajectory
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, State
 from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
@@ -127,21 +127,6 @@ def test_plan_keeps_its_margins_with_all_payloads(name):
         assert results["least_tensions"].min() > least - 0.6
     most = 1 - MARGINS.action
     assert most - 2e-3 < max(actions) < most + 0.01
-
-
-# --- as a trajectory --------------------------------------------------------------------------------------------------
-
-
-def test_motion_is_a_trajectory_that_rests_outside_its_duration():
-    motion = plan("planar")
-    assert find_trajectory(motion, 2) is motion
-    reference = reference_of("planar")
-    assert (motion.name, motion.duration) == (reference.name, reference.duration)
-    outside = motion([[motion.duration + 0.3, -0.3]])
-    ends = motion([[motion.duration, 0.0]])
-    assert_array_equal(outside.position, ends.position, strict=True)
-    for order in ORDERS[1:]:
-        assert not getattr(outside, order)[0, 0].any()
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cablebot_gym.bounds.robot_check import check_model
+from cablebot_gym.envs import fitting_env_id
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.rendering.projection import points_in_space
@@ -72,17 +73,13 @@ def test_errors_are_drawn_with_their_bounds(result):
 def test_y_points_as_in_the_pictures_of_the_robot(name, downwards):
     """Downwards only where gravity does; the drawing of a robot had it so in every plane."""
     robot = find_robot(name)
-    (path, *_) = figures.draw_rollout(short_episode(robot)).axes[robot.cables :]
+    motion = {"name": f"dwell-{robot.kind}", "duration": 0.02}
+    episode = record_rollout("fl", fitting_env_id(robot), robot=robot, trajectory=motion)
+    (path, *_) = figures.draw_rollout(episode).axes[robot.cables :]
     for axes in (path, draw_robot(check_model(robot)).axes[0]):
         assert axes.yaxis_inverted() == downwards
     pictured = points_in_space(robot, np.array([0.0, 1.0]))
     assert (pictured[1] > 0) == downwards
-
-
-def short_episode(robot):
-    motion = {"name": f"dwell-{robot.kind}", "duration": 0.02}
-    ids = {"planar": PLANAR_ID, "planar-platform": "CableBot-PlanarPlatform-v0"}
-    return record_rollout("fl", ids[robot.kind], robot=robot, trajectory=motion)
 
 
 @pytest.mark.landing

@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
-from cablebot_gym.evaluation.timing import time_actions
 from cablebot_gym.isolation import IsolatedPolicy
 from cablebot_gym.policies import PolicyError, load, load_policy
 from cablebot_gym.robots import PLANAR
@@ -154,17 +153,11 @@ class Spies(VectorWrapper):
 """
 
 
-@pytest.fixture
-def module(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    monkeypatch.delitem(sys.modules, "toy_wrappers", raising=False)
-    path = tmp_path / "toy_wrappers.py"
-    path.write_text(MODULE)
-    return path
-
-
 @pytest.mark.landing
-def test_isolated_wrappers_give_the_same_payload(module):
+def test_isolated_wrappers_give_the_same_payload(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    module = tmp_path / "toy_wrappers.py"
+    module.write_text(MODULE)
     names = [f"{module}:Spies", f"{module}:Half"]
     with IsolatedPolicy("fl", PLANAR_ID, wrappers=names) as policy:
         isolated = evaluate_dlcc(policy, PLANAR_ID, **FEW)
@@ -211,8 +204,3 @@ def test_error_of_a_wrapper_has_time_and_line():
         match=r"at t = 0\.\d+ s .*a wrapper raised KeyError: 'mass' \(test_wrappers\.py",
     ):
         record_rollout(Inner(), PLANAR_ID, wrappers=[Fails], **SHORT)
-
-
-def test_time_of_actions_behind_wrappers_is_measured():
-    times = time_actions(load_policy("fl", PLANAR_ID, wrappers=[Half]), PLANAR_ID, **SHORT)
-    assert 0 < times.median <= times.p99

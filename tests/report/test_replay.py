@@ -59,22 +59,12 @@ def test_frames_are_those_of_the_rollout(episodes):
     assert np.abs(frames["action"][1:]) == pytest.approx(actions, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("options", "seed"),
-    [
-        ({"motion": {"name": "loop-spatial", "seed": 10000}}, 0),
-        ({"payload_known": False}, 0),
-        ({"uncertainty": "table6", "draws": 3}, draw_seeds(0, 3)[0]),
-    ],
-)
-def test_episode_has_the_conditions_of_its_row(options, seed):
-    replay, _ = replays(row(**options))
-    given = {"motion": "paper-spatial", **options}
-    given.pop("draws", None)
-    trajectory = given.pop("motion")
-    rollout = record_rollout(
-        "fl", SPATIAL_ID, payload=4.0, seed=seed, trajectory=trajectory, **given
-    )
+def test_episode_has_the_conditions_of_its_row():
+    motion = {"name": "loop-spatial", "seed": 10000}
+    given = {"payload_known": False, "uncertainty": "table6"}
+    replay, _ = replays(row(motion=motion, draws=3, **given))
+    given |= {"trajectory": motion, "seed": draw_seeds(0, 3)[0]}
+    rollout = record_rollout("fl", SPATIAL_ID, payload=4.0, **given)
     assert replay.carried == rollout.verdict.carried
     end = unpack_channels(replay)["position"][-1]
     assert end == pytest.approx(rollout.moment(-1).pose[:3], abs=1e-5)
