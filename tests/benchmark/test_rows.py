@@ -287,7 +287,7 @@ def test_hash_of_an_installed_policy_has_its_files(module, monkeypatch):
     )
     point = EntryPoint(name="toy", group="cablebot_gym.policies", value="toy_package.law:ENTRY")
     monkeypatch.setattr("cablebot_gym.policies.spec.entry_points", lambda group, name: [point])
-    monkeypatch.setattr(policy_sources, "public_entry", {"toy": entry}.get)
+    monkeypatch.setattr(policy_sources, "shipped_entry", {"toy": entry}.get)
     changes = (("own.bin", "1"), ("card.json", "2"), ("own.bin", "2"))
     hashes = sources(module, "toy", [(f"toy_package/{name}", text) for name, text in changes])
     assert hashes[0] == hashes[1] != hashes[2]
