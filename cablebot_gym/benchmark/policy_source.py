@@ -12,6 +12,7 @@ from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
 
 
+@cache
 def shipped_entry(name: str) -> PolicyEntry | None:
     """The entry of a policy of this project, also behind estimators of this project; None for all
     others, because no code of other packages runs in this process."""
