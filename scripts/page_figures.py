@@ -17,7 +17,6 @@ from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.plotting.figures import (
     DPI,
     TravelledPath,
-    draw_success,
     draw_torques,
     new_figure,
     path_panels,
@@ -43,9 +42,6 @@ def write(folder: Path) -> list[Path]:
         "torques": draw_torques(evaluate_dlcc(POLICY, ENV_ID, criterion="task")),
         "errors": errors(),
         "payloads": payloads(),
-        "draws": draw_success(
-            evaluate_dlcc("fl:gains=tuned", ENV_ID, uncertainty="table6", draws=64, payload_max=6)
-        ),
     }
     folder.mkdir(parents=True, exist_ok=True)
     paths = []

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from functools import partial
 
 from cablebot_gym.benchmark.engine import Backend
+from cablebot_gym.benchmark.policy_source import shipped_entry
 from cablebot_gym.benchmark.rows import Row, compute
 from cablebot_gym.benchmark.seeds import evaluation_seed
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.suites import find_suite, suite_rows
-from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.policies import PolicySpec
-from cablebot_gym.utils.console import Say
+from cablebot_gym.utils.workers import WorkerDied
 
 BEST_KNOWN_FRACTION = 4
 """One of this many computed rows, at least one, is a best known payload."""
@@ -42,7 +42,8 @@ def compare_rows(results: Results) -> Difference:
     robots and seeds. Best known payloads and random robots, which are the denominators, are rows
     too.
 
-    Expected are all policies of the results in all of their environments.
+    Expected are all policies of the results in all of their environments, and those of other
+    packages where they have a row.
 
     Raises:
         ValueError: if the suite is unknown, or if it has hidden motions and the results have no seed
@@ -51,13 +52,18 @@ def compare_rows(results: Results) -> Difference:
     suite = find_suite(results.suite)
     stored = {row.key: row for row in results.rows}
     env_ids = {row.conditions.env_id for row in results.rows}
+    pairs = {(row.policy, row.conditions.env_id) for row in results.rows}
     names = list(dict.fromkeys(row.policy for row in results.rows if row.policy))
     not_installed = [name for name in names if not _is_installed(name)]
     policies: dict[str, tuple[str, ...]] = {}
     for env_id in suite.env_ids:
-        policies[env_id] = tuple(
-            name for name in names if name not in not_installed and _supports(name, env_id)
-        )
+        supporting = []
+        for name in names:
+            entry = shipped_entry(name)
+            is_supported = (name, env_id) in pairs if entry is None else env_id in entry.env_ids
+            if is_supported and name not in not_installed:
+                supporting.append(name)
+        policies[env_id] = tuple(supporting)
     seed = evaluation_seed(results.seed_text)
     rows = suite_rows(suite, policies, seed=seed, seed_text=results.seed_text)
     expected = {row.key: row for row in rows if row.conditions.env_id in env_ids}
@@ -74,11 +80,6 @@ def compare_rows(results: Results) -> Difference:
 
 def _is_installed(policy: str) -> bool:
     return PolicySpec.parse(policy).kind != "unknown"
-
-
-def _supports(policy: str, env_id: str) -> bool:
-    entry = public_entry(policy)
-    return entry is None or env_id in entry.env_ids
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +110,16 @@ class Recomputed:
         return f"{outcome}: {self.stored}: {values}"
 
 
-def recompute(
-    rows: Sequence[Row], count: int, backend: Backend, *, say: Say
-) -> Iterator[Recomputed]:
+def recompute(rows: Sequence[Row], count: int, backend: Backend) -> Iterator[Recomputed]:
     """Computes randomly chosen rows again, best known payloads among them.
 
     Args:
         rows: stored rows. Computing times and rows of policies that are not installed are left out.
         count: number of rows; all if there are fewer.
         backend: see :mod:`cablebot_gym.benchmark.engine`.
-        say: called with messages of the workers.
+
+    Raises:
+        WorkerDied: if a computation ends its process.
     """
     best_known = {row.key: row for row in rows if row.measure == "best-known"}
     others = {}
@@ -129,7 +130,9 @@ def recompute(
     chosen = _sample(best_known, max(1, count // BEST_KNOWN_FRACTION))
     chosen |= _sample(others, count - len(chosen))
     jobs = {key: partial(compute, (row,)) for key, row in chosen.items()}
-    for key, computed in backend(jobs, say, ()):
+    for key, computed in backend(jobs):
+        if isinstance(computed, WorkerDied):
+            raise computed
         yield Recomputed(stored=chosen[key], computed=computed[0])
 
 

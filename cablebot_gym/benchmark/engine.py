@@ -10,7 +10,7 @@ from typing import Any
 from cablebot_gym.benchmark.rows import Row, compute, failed, jobs
 from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
-from cablebot_gym.utils.console import Progress, Say
+from cablebot_gym.utils.console import Progress
 
 _AFTER_BEST_KNOWN = 1e9
 """Cost of a drawn robot in episodes: it starts after the nominal ones, whose results it reads from the
@@ -20,20 +20,14 @@ Job = Callable[[], Any]
 """A computation that runs in any process: a ``functools.partial`` of a module-level function, which can
 be pickled."""
 
-Backend = Callable[[Mapping[str, Job], Say, tuple[type[Exception], ...]], Iterator[tuple[str, Any]]]
-"""Executes jobs: yields keys and results in order of completion. Called with the jobs by key, a
-function for messages, and the types of exceptions that are results; others are raised."""
+Backend = Callable[[Mapping[str, Job]], Iterator[tuple[str, Any]]]
+"""Executes jobs by key: yields keys and results in order of completion, with a
+:class:`~cablebot_gym.utils.workers.WorkerDied` in place of a lost one."""
 
 
 def local(workers: int) -> Backend:
     """A backend of ``workers`` processes on this machine."""
-
-    def run(
-        jobs: Mapping[str, Job], say: Say, returned: tuple[type[Exception], ...]
-    ) -> Iterator[Any]:
-        return processes.run(jobs, workers=workers, say=say, returned=returned)
-
-    return run
+    return partial(processes.run, workers=workers)
 
 
 def run_rows(
@@ -41,7 +35,6 @@ def run_rows(
     store: Store,
     backend: Backend,
     progress: Progress,
-    say: Say,
 ) -> None:
     """Computes the rows that are due, and adds them to the store.
 
@@ -57,9 +50,8 @@ def run_rows(
         kind[str(index)] = partial(compute, group)
     done = len(rows) - len(due)
     progress(done, len(rows))
-    died = (processes.WorkerDied,)
     # the timings come when no other job runs
-    results = chain(backend(computations, say, died), local(1)(timings, say, died))
+    results = chain(backend(computations), local(1)(timings))
     for key, computed in results:
         group = groups[int(key)]
         store.add(_checked(group, computed))

@@ -9,8 +9,6 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
-from rich.markdown import Markdown
-
 from cablebot_gym.benchmark import tables
 from cablebot_gym.benchmark.ranking import CONFIDENCE, RANKED_MOTIONS
 from cablebot_gym.benchmark.rows import Row, canonical
@@ -23,7 +21,6 @@ from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.evaluation import evaluate_dlcc
-from cablebot_gym.utils.console import results_console
 
 LINE = 118
 """Largest length of a line of the page, except for tables."""
@@ -143,7 +140,6 @@ def errors_text(rows: Sequence[Row], heading: str) -> str:
 def _notes_text(rows: Sequence[Row], boards: Sequence[Leaderboard]) -> str:
     notes = list(map(_escaped, tables.failures(rows)))
     notes += map(_escaped, tables.left_out(rows))
-    notes += tables.fallbacks(rows)
     processors = set()
     for board in boards:
         processors |= {str(timing["processor"]) for timing in board.timings.values()}
@@ -202,14 +198,6 @@ def _versions(rows: Sequence[Row]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
     distinct = {canonical(dict(row.versions)): row.versions for row in rows}
     return list(distinct.values())
-
-
-def print_page(page: str) -> None:
-    """Prints the leaderboard page without its explanations."""
-    tables_and_notes, _, definitions = page.partition("\n## Definitions\n")
-    command = definitions.rpartition("\n\n")[2]
-    text = tables_and_notes[page.index("\n## ") :] + "\n" + command
-    results_console().print(Markdown(text))
 
 
 def _codes(names: Sequence[str]) -> str:

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from cablebot_gym.isolation.installed import public_entry
-from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP, PolicySpec
-from cablebot_gym.policies.sb3 import statistics_beside
+from cablebot_gym.policies import FILE_ENTRY_POINT_GROUP, PolicyEntry, PolicySpec
 from cablebot_gym.utils.code_hash import module_file
 from cablebot_gym.utils.imports import split_name
+
+
+@cache
+def shipped_entry(name: str) -> PolicyEntry | None:
+    """The entry of a policy of this project, also behind estimators of this project; None for all
+    others, because no code of other packages runs in this process."""
+    spec = PolicySpec.parse(name)
+    if not spec.shipped:
+        return None
+    # the first entry point is that of this project: another package can use the same name
+    return replace(spec, points=spec.points[:1]).entry()
 
 
 @cache
@@ -18,27 +28,25 @@ def policy_source(policy: str) -> tuple[tuple[str, ...], tuple[Path, ...]]:
     """Names in modules, ``module:name``, and data files of a policy, given its name as on the command
     line.
 
-    For a policy file, these are the modules of all installed loaders, the file itself and the statistics
-    beside it. Of a module outside a package, the data files are those next to it with a suffix or a
+    For a policy file, these are the modules of all installed loaders, and the file itself. Of
+    a module outside a package, the data files are those next to it with a suffix or a
     name that its source contains, such as ``.npz``.
     """
     spec = PolicySpec.parse(policy)
     if spec.estimators:
         modules, files = policy_source(spec.target)
         return (*(estimator.value for estimator in spec.estimators), *modules), files
-    path = Path(policy)
     if spec.kind == "unknown":
         return (), ()
     if spec.kind == "file":
         loaders = {point.value for point in entry_points(group=FILE_ENTRY_POINT_GROUP)}
-        statistics = statistics_beside(path)
-        return tuple(sorted(loaders)), (path,) if statistics is None else (path, statistics)
+        return tuple(sorted(loaders)), (Path(policy),)
     if spec.kind == "factory":
         module, name = split_name(policy)
     else:
         module = spec.points[0].module
         name = spec.points[0].attr
-        entry = public_entry(policy)
+        entry = shipped_entry(policy)
         if entry is not None and entry.files is not None:
             return (f"{module}:{name}",), entry.files
     source = module_file(module)

@@ -7,7 +7,7 @@ Motions are the random sample: they are drawn from a family, and all policies ru
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,26 +80,24 @@ def _interval(fractions: Array) -> tuple[float, float]:
 def ranks(fractions: Mapping[str, Array]) -> dict[str, int]:
     """Ranks of policies, in the order of decreasing mean fractions.
 
-    The rank of a policy is 1 plus the number of groups with a better policy. All comparisons of a
+    The rank of a policy is 1 plus the number of better policies. All comparisons of a
     board are right together with :data:`CONFIDENCE`. A policy with a larger mean never has a larger
     rank: where the comparisons alone would give it one, it gets that of the policy below it.
 
     Args:
         fractions: fractions of the same motions by policy, each (motions,); NaN for the motions
-            that a policy has not run. Policies with equal fractions count once.
+            that a policy has not run.
     """
     names = sorted(fractions, key=lambda name: (-np.nanmean(fractions[name]), name))
     if not names:
         return {}
     values = np.stack([fractions[name] for name in names])
     better = better_policies(values)
-    labels = _labels(names, values)
     policy_ranks: dict[str, int] = {}
     least = len(names)
     # From the last row up, so that a rank is at most that of the row below.
     for index in reversed(range(len(names))):
-        groups_above = {labels[above] for above in np.flatnonzero(better[:, index])}
-        least = min(least, 1 + len(groups_above - {labels[index]}))
+        least = min(least, 1 + int(better[:, index].sum()))
         policy_ranks[names[index]] = least
     return {name: policy_ranks[name] for name in names}
 
@@ -136,17 +134,3 @@ def better_policies(values: Array) -> NDArray[np.bool_]:
     better[first, second] = is_ordered & (mean > 0)
     better[second, first] = is_ordered & (mean < 0)
     return better
-
-
-def _labels(names: Sequence[str], values: Array) -> list[str]:
-    """Group of each policy: the first policy with equal fractions."""
-    labels: list[str] = []
-    for index, name in enumerate(names):
-        above = values[:index]
-        is_same = (above == values[index]) | np.isnan(above + values[index])
-        equal_policies = np.flatnonzero(is_same.all(axis=1))
-        if len(equal_policies):
-            labels.append(labels[equal_policies[0]])
-        else:
-            labels.append(name)
-    return labels

@@ -11,7 +11,6 @@ from itertools import islice
 from typing import Any
 
 from cablebot_gym.benchmark.engine import Backend, Job
-from cablebot_gym.utils.console import Say
 from cablebot_gym.utils.workers import WorkerDied, cores
 
 RETRIES = 3
@@ -39,9 +38,7 @@ def on_ray(address: str) -> Backend:
     _import_ray()
     _check_address(address)
 
-    def run(
-        jobs: Mapping[str, Job], say: Say, returned: tuple[type[Exception], ...]
-    ) -> Iterator[Any]:
+    def run(jobs: Mapping[str, Job]) -> Iterator[Any]:
         ray = _import_ray()
         if not jobs:
             return
@@ -64,11 +61,7 @@ def on_ray(address: str) -> Backend:
                 try:
                     outcome = ray.get(ready)
                 except ray.exceptions.RayError as error:
-                    outcome = getattr(error, "cause", None)
-                    if not isinstance(outcome, returned):
-                        outcome = WorkerDied(_reason(error))
-                    if not isinstance(outcome, returned):
-                        raise outcome from error
+                    outcome = WorkerDied(_reason(error))
                 yield key, outcome
         finally:
             for reference in keys:

@@ -139,17 +139,10 @@ class Row:
         }
 
     def __str__(self) -> str:
-        given = self.conditions
-        words = [self.policy or self.measure, given.robot or given.env_id, self.motion]
+        motion = self.motion
         if self.family:
-            words.append(str(given.trajectory["seed"]))
-        if self.measure == "time":
-            words.append("time")
-        elif self.policy:
-            words += [given.payload_model, f"{given.criterion} criterion"]
-        if given.uncertainty:
-            words.append(given.uncertainty)
-        return ", ".join(filter(None, words))
+            motion += f" {self.conditions.trajectory['seed']}"
+        return ", ".join(filter(None, [self.measure, self.policy, motion, str(self.conditions)]))
 
 
 def row_from_dict(data: Any) -> Row:

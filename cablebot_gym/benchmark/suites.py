@@ -10,6 +10,7 @@ from itertools import chain, product
 from types import MappingProxyType
 from typing import Any
 
+from cablebot_gym.benchmark.policy_source import shipped_entry
 from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
 from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.seeds import hidden_seeds
@@ -18,9 +19,9 @@ from cablebot_gym.envs import PAPER_ENV_IDS, fitting_env_id
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.survey import motion_seeds
 from cablebot_gym.isolation import IsolatedPolicy
-from cablebot_gym.isolation.installed import public_entries, public_entry
 from cablebot_gym.motions import TRAJECTORIES, held_out_seeds
 from cablebot_gym.policies.protocol import PolicyError
+from cablebot_gym.policies.spec import policy_names
 from cablebot_gym.robots import ELASTIC, find_robot, library
 from cablebot_gym.uncertainty import single_errors
 from cablebot_gym.utils.checks import choice
@@ -138,31 +139,28 @@ def find_env_ids(suite: Suite, env_ids: Sequence[str]) -> tuple[str, ...]:
 def find_policies(names: Sequence[str], env_ids: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """The names of the policies to evaluate on each environment.
 
-    An installed policy is evaluated on the environments that it supports; a policy file or a
-    ``package.module:factory`` on all environments.
+    A policy of this project is evaluated on the environments that it supports, any other one where
+    it can be loaded.
 
     Args:
-        names: policy names as on the command line; empty for all installed policies.
+        names: policy names as on the command line; empty for all policies of this project.
         env_ids: environments.
 
     Raises:
         ValueError: if a policy is unknown or supports none of the environments.
     """
-    if names:
-        entries = {name: public_entry(name) for name in dict.fromkeys(names)}
-    else:
-        entries = dict(public_entries())
-    supported: dict[str, tuple[str, ...]] = {}
-    for name, entry in entries.items():
-        supported[name] = tuple(env_ids) if entry is None else entry.env_ids
+    supported: dict[str, Sequence[str]] = {}
+    for name in names or policy_names():
+        entry = shipped_entry(name)
+        if entry is not None:
+            supported[name] = entry.env_ids
+        elif names:
+            supported[name] = _loadable(name, env_ids)
     for name in names:
-        fitting = [env_id for env_id in env_ids if env_id in supported[name]]
-        if not fitting:
+        if set(env_ids).isdisjoint(supported[name]):
             raise ValueError(
                 f"policy {name!r} supports {', '.join(supported[name])}, not {', '.join(env_ids)}"
             )
-        if entries[name] is None:
-            _check_loadable(name, fitting)
     by_environment: dict[str, tuple[str, ...]] = {}
     for env_id in env_ids:
         by_environment[env_id] = tuple(name for name in supported if env_id in supported[name])
@@ -177,18 +175,13 @@ def check_evaluated(suite: Suite, policies: Mapping[str, tuple[str, ...]]) -> No
         policies: names of the policies by environment, from :func:`find_policies`.
 
     Raises:
-        ValueError: if not. The message lists those that it evaluates.
+        ValueError: if not.
     """
     asked = list(dict.fromkeys(chain.from_iterable(policies.values())))
-    evaluated: dict[str, None] = {}
-    for override in suite.overrides:
-        if _included(override, asked):
-            return
-        evaluated |= dict.fromkeys(_included(override, list(public_entries())))
-    raise ValueError(
-        f"suite {suite.name!r} does not evaluate {', '.join(asked)}: choose from "
-        f"{', '.join(evaluated)}, or another suite"
-    )
+    if not any(_included(override, asked) for override in suite.overrides):
+        raise ValueError(
+            f"suite {suite.name!r} does not evaluate {', '.join(asked)}: choose another suite"
+        )
 
 
 def suite_rows(
@@ -295,7 +288,7 @@ def _included(override: Override, names: Sequence[str]) -> list[str]:
     """Names of the policies that an override evaluates."""
     included = []
     for name in override.policies or names:
-        entry = public_entry(name)
+        entry = shipped_entry(name)
         is_slow = entry is not None and entry.slow
         if name in names and (override.slow or not is_slow):
             included.append(name)
@@ -326,14 +319,20 @@ def _tasks(
     return [{"trajectory": {"name": f"loop-{kind}", "seed": seed}} for seed in seeds]
 
 
-def _check_loadable(name: str, env_ids: Sequence[str]) -> None:
-    """Raises a ValueError if a policy can be loaded for none of the environments. It is loaded in a
-    process of its own."""
+def _loadable(name: str, env_ids: Sequence[str]) -> list[str]:
+    """The environments for whose robots a policy can be loaded, in a process of its own.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    loadable = []
     errors: list[Exception] = []
     for env_id in env_ids:
         try:
             IsolatedPolicy(name, env_id).close()
+            loadable.append(env_id)
         except (ValueError, PolicyError) as error:
             errors.append(error)
-    if len(errors) == len(env_ids):
+    if not loadable:
         raise ValueError(str(errors[0])) from errors[0]
+    return loadable

@@ -7,12 +7,12 @@ from statistics import median
 from typing import Any
 
 from cablebot_gym.benchmark import scores
+from cablebot_gym.benchmark.policy_source import shipped_entry
 from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
 from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.judge import Violation
-from cablebot_gym.isolation.installed import public_entry
 from cablebot_gym.robots import KIND_TEXTS, find_robot
 
 
@@ -93,10 +93,9 @@ def timing_text(timing: Mapping[str, Any] | None) -> str:
 
 
 def policy_text(policy: str) -> str:
-    """Name of a policy as code, with its marks. One that is not installed any more has none of its
-    own."""
+    """Name of a policy as code, with its marks."""
     text = f"`{policy}`"
-    entry = public_entry(policy)
+    entry = shipped_entry(policy)
     if entry is not None and entry.known_robot:
         text += ", known robot"
     return text
@@ -258,24 +257,6 @@ def due(rows: Sequence[Row]) -> list[str]:
     for name, is_due in counts.items():
         if any(is_due):
             sentences.append(f"{name}: {sum(is_due)} of {len(is_due)} rows are due")
-    return sentences
-
-
-def fallbacks(rows: Sequence[Row]) -> list[str]:
-    """One sentence per policy and environment with fallbacks at the DLCC."""
-    groups: dict[tuple[str, str], list[float]] = {}
-    for row in rows:
-        number = row.result.get("fallbacks")
-        if number is not None:
-            groups.setdefault((row.policy, row.conditions.env_id), []).append(number)
-    sentences = []
-    for (policy, env_id), numbers in groups.items():
-        if max(numbers) > 0:
-            cells = sum(number > 0 for number in numbers)
-            sentences.append(
-                f"{policy} on {env_id} used its fallback up to {max(numbers):.3g} times per "
-                f"episode, in {cells} of {len(numbers)} rows"
-            )
     return sentences
 
 

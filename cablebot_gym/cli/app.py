@@ -15,12 +15,11 @@ import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from io import TextIOWrapper
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
 
-from cablebot_gym.cli.records import GroupedOptions, with_options
+from cablebot_gym.cli.records import with_options
 from cablebot_gym.utils.console import say
 from cablebot_gym.utils.user_code import sentence_of_user_code
 
@@ -29,85 +28,40 @@ COMMAND_GROUP = "cablebot_gym.commands"
 with typer's annotations. A name of two words, ``robot import``, is a command of a group."""
 
 COMMANDS = {
-    "Evaluate policies": {
-        "dlcc": "cablebot_gym.cli.dlcc:dlcc",
-        "compare": "cablebot_gym.cli.compare:compare",
-        "best-known": "cablebot_gym.cli.best_known:best_known",
-    },
-    "Record episodes": {
-        "rollout": "cablebot_gym.cli.rollout:rollout",
-        "video": "cablebot_gym.cli.video:video",
-    },
-    "Run benchmarks": {
-        "benchmark": "cablebot_gym.cli.benchmark:benchmark",
-        "report": "cablebot_gym.cli.report:report",
-    },
-    "Inspect the installation": {
-        "list": "cablebot_gym.cli.listing:list_",
-        "robot check": "cablebot_gym.cli.robot:check",
-        "robot export": "cablebot_gym.cli.exporting:export",
-    },
+    "dlcc": "cablebot_gym.cli.dlcc:dlcc",
+    "compare": "cablebot_gym.cli.compare:compare",
+    "best-known": "cablebot_gym.cli.best_known:best_known",
+    "rollout": "cablebot_gym.cli.rollout:rollout",
+    "video": "cablebot_gym.cli.video:video",
+    "benchmark": "cablebot_gym.cli.benchmark:benchmark",
+    "report": "cablebot_gym.cli.report:report",
+    "list": "cablebot_gym.cli.listing:list_",
+    "robot check": "cablebot_gym.cli.robot:check",
+    "robot export": "cablebot_gym.cli.exporting:export",
 }
-"""Built-in commands by group. The module of a command is imported when the command is run."""
+"""Built-in commands. The module of a command is imported when the command is run."""
 
 GROUPS = {"robot": "Check and export robots."}
 """Help of the groups of commands."""
-
-ADDED = "Commands of other installed packages"
-"""Title of the group of commands that entry points add."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C."""
 
 
-def named_commands(group: TyperGroup, prefix: str = "") -> dict[str, Any]:
-    """The commands of a group and of the groups in it, by what is typed."""
-    commands: dict[str, Any] = {}
-    for name, command in group.commands.items():
-        if isinstance(command, TyperGroup):
-            commands |= named_commands(command, f"{prefix}{name} ")
-        else:
-            commands[prefix + name] = command
-    return commands
-
-
-class _GroupedCommands(TyperGroup):
-    """Lists the commands by subject, with the full first sentence of each help text."""
-
-    def format_commands(
-        self, ctx: Any, formatter: Any
-    ) -> None:  # types of click, which typer may vendor
-        prefix = f"{self.name} " if ctx.parent else ""
-        commands = named_commands(self, prefix)
-        added = [name for name in commands if name not in BUILT_IN]
-        for title, names in {**COMMANDS, ADDED: added}.items():
-            rows = []
-            for name in names:
-                if name in commands:
-                    rows.append((name, commands[name].get_short_help_str(limit=1000)))
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows)
-
-
 app = typer.Typer(
     name="cablebot",
-    cls=_GroupedCommands,
     help=(
         "Evaluate controllers of cable-suspended robots by the largest payload that they carry along a "
         "trajectory, the dynamic load carrying capacity (DLCC).\n\n"
         "`cablebot COMMAND --help` shows the options of a command and examples.\n\n"
-        "\b\n"
-        "Exit status:\n"
-        "  0    success, whatever the payload is\n"
-        "  1    failure: a policy raised an error, a file could not be written,\n"
-        "       a row of the benchmark failed, a best known payload was not verified,\n"
-        "       or a robot does not carry its payload\n"
-        "  2    invalid input, or a folder that is not writable\n"
-        "  130  interrupted"
+        "Exit status 0: success, whatever the payload is.\n\n"
+        "Exit status 1: a policy raised an error, a file could not be written, a row of the benchmark failed, "
+        "a best known payload was not verified, or a robot does not carry its payload.\n\n"
+        "Exit status 2: invalid input, or a folder that is not writable.\n\n"
+        "Exit status 130: interrupted."
     ),
     no_args_is_help=True,
-    rich_markup_mode=None,
+    rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
 
@@ -122,11 +76,7 @@ def _version(
         print(f"cablebot_gym {__version__}")
 
 
-BUILT_IN = {
-    name: EntryPoint(name, value, COMMAND_GROUP)
-    for group in COMMANDS.values()
-    for name, value in group.items()
-}
+BUILT_IN = {name: EntryPoint(name, value, COMMAND_GROUP) for name, value in COMMANDS.items()}
 """Built-in commands by name."""
 
 
@@ -145,7 +95,7 @@ def add_commands(points: Mapping[str, EntryPoint]) -> None:
         parent, _, last = name.rpartition(" ")
         group = _group(parent) if parent else app
         if last not in [item.name for item in group.registered_commands]:
-            group.command(name=last, cls=GroupedOptions)(with_options(point.load()))
+            group.command(name=last)(with_options(point.load()))
 
 
 def _group(name: str) -> typer.Typer:
@@ -153,14 +103,14 @@ def _group(name: str) -> typer.Typer:
     for item in app.registered_groups:
         if item.name == name and item.typer_instance is not None:
             return item.typer_instance
-    group = typer.Typer(rich_markup_mode=None)
-    app.add_typer(group, name=name, cls=_GroupedCommands, help=GROUPS.get(name))
+    group = typer.Typer(rich_markup_mode="markdown")
+    app.add_typer(group, name=name, help=GROUPS.get(name))
     return group
 
 
 def _points_of(typed: str) -> Mapping[str, EntryPoint]:
-    """The command that is typed first, those of the group that is typed first, or else all: a load
-    of all takes time."""
+    """The command that is typed first, those of the group that is typed first, or else all: a broken
+    command of another package does not stop the others."""
     if typed in BUILT_IN:
         return {typed: BUILT_IN[typed]}
     points = command_points()

@@ -38,7 +38,7 @@ class RowOptions(Options):
     ] = "smoke"
     policies: Annotated[
         str | None,
-        "Policies as for `dlcc --policy`, separated by commas. The default is all installed policies.",
+        "Policies as for `dlcc --policy`, separated by commas. The default is all policies of this project.",
     ] = None
     ids: Annotated[
         str | None,
@@ -193,7 +193,7 @@ def _policies(selection: RowOptions) -> dict[str, tuple[str, ...]]:
 
 def _write_page(results: Results, out: Path) -> bool:
     """Writes and prints the page of a suite; whether a payload could not be computed."""
-    from cablebot_gym.benchmark.leaderboard import markdown, print_page
+    from cablebot_gym.benchmark.leaderboard import markdown
     from cablebot_gym.benchmark.tables import failures
     from cablebot_gym.utils.files import atomic_write_text
 
@@ -201,7 +201,7 @@ def _write_page(results: Results, out: Path) -> bool:
     path = out / f"{results.suite}{PAGE_SUFFIX}"
     atomic_write_text(path, page)
     say(f"wrote {path}")
-    print_page(page)
+    print(page.partition("\n## Definitions\n")[0])
     return bool(failures([row for row in results.rows if row.measure != "time"]))
 
 
@@ -218,7 +218,7 @@ def _compute(rows: Sequence[Row], store: Store, backend: Backend, command: str) 
 
     with progress("computing", "rows") as step:
         try:
-            run_rows(rows, store, backend, progress=step, say=say)
+            run_rows(rows, store, backend, progress=step)
         except KeyboardInterrupt:
             finished = sum(store.find(row) is not None for row in rows)
             state = (
@@ -253,7 +253,7 @@ def _check(folder: Path, count: int, backend: Backend) -> None:
     rows = [row for results in boards for row in results.rows]
     with progress("computing", "rows") as step, TemporaryDirectory() as cache:
         os.environ[CACHE_VARIABLE] = cache
-        for finished, again in enumerate(recompute(rows, count, backend, say=say), 1):
+        for finished, again in enumerate(recompute(rows, count, backend), 1):
             print(again)
             different += not again.is_equal
             step(finished, count)

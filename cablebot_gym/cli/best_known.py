@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
 from cablebot_gym.cli.options import (
-    TASK,
-    ConditionOptions,
     FittingEnvId,
     Json,
+    TaskOptions,
     fitting_id,
     robot_of,
 )
@@ -20,7 +17,7 @@ from cablebot_gym.utils.console import say
 def best_known(
     *,
     env_id: FittingEnvId = None,
-    conditions: Annotated[ConditionOptions, TASK],
+    conditions: TaskOptions,
     as_json: Json = False,
 ) -> None:
     """Compute the best known payload of an environment by trajectory optimisation.

@@ -91,15 +91,21 @@ def compare(
 
 
 def _write(comparison: Comparison | PayloadComparison, folder: Path) -> None:
-    from cablebot_gym.evaluation.comparison import save_draws
-    from cablebot_gym.plotting.comparison import save_comparison
+    from cablebot_gym.evaluation.comparison import PayloadComparison, save_draws
+    from cablebot_gym.plotting import draw_comparison, draw_payload_comparison
+    from cablebot_gym.plotting.figures import save_figure
     from cablebot_gym.utils.files import atomic_write_text
 
     path = folder / "comparison.json"
     atomic_write_text(path, comparison.to_json() + "\n")
     draws = folder / "draws.csv"
     save_draws(comparison, draws)
-    say(f"wrote {path}, {draws}, {save_comparison(comparison, folder)}")
+    picture = folder / "comparison.png"
+    if isinstance(comparison, PayloadComparison):
+        save_figure(draw_payload_comparison(comparison), picture)
+    else:
+        save_figure(draw_comparison(comparison), picture)
+    say(f"wrote {path}, {draws}, {picture}")
 
 
 def payload_grid(text: str) -> list[float]:

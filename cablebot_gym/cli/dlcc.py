@@ -128,13 +128,13 @@ def _results(
 
 
 def _write(results: list[DLCCResult], folder: Path) -> None:
-    from cablebot_gym.plotting.figures import save_figures
+    from cablebot_gym.plotting.figures import save_result
 
     path = folder / "result.json"
     atomic_write_text(path, json_text([result.to_dict() for result in results]) + "\n")
     written = [path]
     for result in results:
-        written += save_figures(result, folder)
+        written.append(save_result(result, folder))
     say("wrote " + ", ".join(map(str, written)))
 
 

@@ -31,8 +31,7 @@ def export(
         raise ValueError(f"--out must end in .xml, not {out.name!r}")
     check_new_file(out)
     robot = find_robot(name)
-    payload = robot.defaults.payload(payload)
-    number("payload", payload, least=0, unit="kg")
+    payload = number("payload", robot.defaults.payload(payload), least=0, unit="kg")
     torques = None
     if not robot.hanging:  # it may swing at home
         torques = textbook.static_torque(robot, robot.mass + payload, robot.home)

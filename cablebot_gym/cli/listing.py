@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from importlib.resources import files
 from itertools import pairwise
@@ -78,32 +78,25 @@ def _changed(record: Any) -> Iterator[tuple[str, Any]]:
 
 def tables() -> Iterator[tuple[str, str, list[list[str]]]]:
     """Name, title, and header and rows of each table."""
-    yield "ids", "Environments", _environment_rows()
-    yield "robots", "Robots", _robot_rows()
+    from cablebot_gym.envs import ENV_IDS
+    from cablebot_gym.robots import robot_names
+
+    yield "ids", "Environments", _robot_rows("id", "name", ENV_IDS)
+    yield "robots", "Robots", _robot_rows("name", "kind", robot_names())
     yield "trajectories", 'Trajectories: {"name": NAME, FIELD: VALUE}', _trajectory_rows()
     yield "uncertainties", "Uncertainties, without fields at their defaults", _uncertainty_rows()
     yield "parameters", "Uncertain parameters", _parameter_rows()
     yield "installed-policies", "Policies", _policy_rows()
 
 
-def _environment_rows() -> list[list[str]]:
-    from cablebot_gym.envs import ENV_IDS
+def _robot_rows(head: str, field: str, names: Iterable[str]) -> list[list[str]]:
+    """A row for each robot: its name or the id of its environment, a field, cables and springs."""
     from cablebot_gym.robots import find_robot
 
-    rows = [["id", "robot", "cables", "transmission"]]
-    for env_id in ENV_IDS:
-        robot = find_robot(env_id)
-        rows.append([env_id, robot.name, str(robot.cables), robot.springs])
-    return rows
-
-
-def _robot_rows() -> list[list[str]]:
-    from cablebot_gym.robots import find_robot, robot_names
-
-    rows = [["name", "kind", "cables", "transmission"]]
-    for name in robot_names():
+    rows = [[head, field.replace("name", "robot"), "cables", "transmission"]]
+    for name in names:
         robot = find_robot(name)
-        rows.append([name, robot.kind, str(robot.cables), robot.springs])
+        rows.append([name, getattr(robot, field), str(robot.cables), robot.springs])
     return rows
 
 

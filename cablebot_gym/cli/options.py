@@ -133,8 +133,8 @@ TrajectoryData = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConditionOptions(Options):
-    """Conditions of an evaluation, as a user types them."""
+class TaskOptions(Options):
+    """Conditions that describe the task alone, as a user types them."""
 
     title: ClassVar[str] = "Conditions"
 
@@ -155,6 +155,35 @@ class ConditionOptions(Options):
         "without data, 10.",
     ] = None
     control_frequency: Annotated[float, "Control steps per second [Hz]."] = 500.0
+
+    def keywords(self) -> dict[str, Any]:
+        """Keywords of an evaluation: the options that are given, with ``error_bounds`` [m, rad] for the
+        bounds, and without the wrappers of the policy."""
+        keywords: dict[str, Any] = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value != item.default and item.name not in _NO_KEYWORDS:
+                keywords[item.name] = value
+        if self.error_bounds:
+            keywords["error_bounds"] = self.error_bounds
+        return keywords
+
+    @property
+    def error_bounds(self) -> dict[str, float]:
+        """The error bounds that are given [m, rad]."""
+        given = {"position": (self.position_bound, "mm"), "rotation": (self.rotation_bound, "mrad")}
+        bounds = {}
+        for name, (value, unit) in given.items():
+            if value is not None:
+                checked = number(f"--{name}-bound", value, least=LEAST_BOUND, unit=unit)
+                bounds[name] = checked / 1000
+        return bounds
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConditionOptions(TaskOptions):
+    """Conditions of an evaluation, as a user types them."""
+
     payload_known: Annotated[
         bool,
         typer.Option(
@@ -189,8 +218,8 @@ class ConditionOptions(Options):
     wrapper: Annotated[
         list[str] | None,
         "Wrapper of the policy's training, file.py:name or package.module:name; again for each further one, "
-        "the innermost first. The last one may be a file with the statistics of Stable-Baselines3's VecNormalize; its "
-        "default is vecnormalize.pkl beside a .zip file. Installed policies take no wrapper.",
+        "the innermost first. The last one may be a file with the statistics of Stable-Baselines3's VecNormalize. "
+        "Installed policies take no wrapper.",
     ] = None
     seed: Annotated[
         int | None,
@@ -203,35 +232,9 @@ class ConditionOptions(Options):
         """Wrappers of the training of the policy, the innermost first."""
         return self.wrapper or []
 
-    def keywords(self) -> dict[str, Any]:
-        """Keywords of an evaluation: the options that are given, with ``error_bounds`` [m, rad] for the
-        bounds, and without the wrappers of the policy."""
-        keywords: dict[str, Any] = {}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value != item.default and item.name not in _NO_KEYWORDS:
-                keywords[item.name] = value
-        if self.error_bounds:
-            keywords["error_bounds"] = self.error_bounds
-        return keywords
-
-    @property
-    def error_bounds(self) -> dict[str, float]:
-        """The error bounds that are given [m, rad]."""
-        given = {"position": (self.position_bound, "mm"), "rotation": (self.rotation_bound, "mrad")}
-        bounds = {}
-        for name, (value, unit) in given.items():
-            if value is not None:
-                checked = number(f"--{name}-bound", value, least=LEAST_BOUND, unit=unit)
-                bounds[name] = checked / 1000
-        return bounds
-
 
 _NO_KEYWORDS = ("position_bound", "rotation_bound", "wrapper")
 """Options of conditions that are no keywords of an evaluation."""
-
-TASK = ("robot", "trajectory", "position_bound", "rotation_bound", "control_frequency")
-"""Options of conditions that describe the task alone."""
 
 
 def fitting_id(env_id: str | None, robot: str | None) -> str:
@@ -258,9 +261,7 @@ def with_seed(conditions: ConditionOptions, *, is_secret: bool) -> ConditionOpti
     return conditions
 
 
-def command_again(
-    command: str, *arguments: object, conditions: ConditionOptions, **options: Any
-) -> str:
+def command_again(command: str, *arguments: object, conditions: TaskOptions, **options: Any) -> str:
     """The command line of a command with the conditions that differ from their defaults.
 
     Args:
@@ -278,7 +279,7 @@ def command_again(
     return command_line(command, *arguments, **options)
 
 
-def robot_of(env_id: str, conditions: ConditionOptions) -> Robot:
+def robot_of(env_id: str, conditions: TaskOptions) -> Robot:
     """The robot in ``--robot``, or that of the environment.
 
     Imports and checks the motion. The import has to precede the start of an isolated policy, which

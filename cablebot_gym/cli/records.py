@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from copy import copy
 from dataclasses import MISSING, dataclass, fields
 from functools import wraps
 from typing import Annotated, Any, ClassVar, get_type_hints
 
 import typer
-from typer.core import TyperCommand
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,19 +23,14 @@ class Options:
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
     """The command for typer: parameters that are records are replaced by their options, and the help
-    in an annotation by an option. ``Annotated[Record, names]`` has the options with these names
-    alone."""
+    in an annotation by an option."""
     parameters: list[inspect.Parameter] = []
-    records: dict[str, tuple[type[Options], tuple[str, ...]]] = {}
+    records: dict[str, type[Options]] = {}
     for parameter in inspect.signature(command, eval_str=True).parameters.values():
         annotation = parameter.annotation
-        record = getattr(annotation, "__origin__", annotation)
-        if isinstance(record, type) and issubclass(record, Options):
-            names = tuple(item.name for item in fields(record))
-            if record is not annotation:
-                (names,) = annotation.__metadata__
-            records[parameter.name] = record, names
-            parameters += _parameters(record, names)
+        if isinstance(annotation, type) and issubclass(annotation, Options):
+            records[parameter.name] = annotation
+            parameters += _parameters(annotation)
         else:
             # Options come in any order: no parameter has a position.
             parameters.append(
@@ -47,8 +41,8 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(**values: Any) -> None:
-        for name, (record, names) in records.items():
-            options = {option: values.pop(option) for option in names}
+        for name, record in records.items():
+            options = {option.name: values.pop(option.name) for option in fields(record)}
             values[name] = record(**options)
         command(**values)
 
@@ -64,12 +58,10 @@ def _with_option(annotation: Any) -> Any:
     return annotation
 
 
-def _parameters(record: type[Options], names: Collection[str]) -> list[inspect.Parameter]:
+def _parameters(record: type[Options]) -> list[inspect.Parameter]:
     types = get_type_hints(record, include_extras=True)
     parameters = []
     for item in fields(record):
-        if item.name not in names:
-            continue
         annotation = _with_option(types[item.name])
         (shared_option,) = annotation.__metadata__
         option = copy(shared_option)  # commands share it, each with its own heading
@@ -85,22 +77,3 @@ def _parameters(record: type[Options], names: Collection[str]) -> list[inspect.P
         )
         parameters.append(parameter)
     return parameters
-
-
-class GroupedOptions(TyperCommand):
-    """A command whose help groups the options by their record."""
-
-    def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Writes the arguments, the options of the command alone, and those of each record."""
-        groups: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
-        for parameter in self.get_params(ctx):
-            row = parameter.get_help_record(ctx)
-            title = getattr(parameter, "rich_help_panel", None) or "Options"
-            if parameter.param_type_name == "argument":
-                title = "Arguments"
-            if row is not None:
-                groups.setdefault(title, []).append(row)
-        for title, rows in groups.items():
-            if rows:
-                with formatter.section(title):
-                    formatter.write_dl(rows)

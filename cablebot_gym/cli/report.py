@@ -61,7 +61,7 @@ def report(
         for key, row in replay_queries(merged_rows(sources)).items():
             jobs[key] = partial(record_row, row)
         with progress("recording", "episodes") as step:
-            for key, recorded in run(jobs, workers=processes, say=say, returned=(WorkerDied,)):
+            for key, recorded in run(jobs, workers=processes):
                 replays[key] = str(recorded) if isinstance(recorded, WorkerDied) else recorded
                 step(len(replays), len(jobs))
     page = html(TITLE, sources, replays)

@@ -201,21 +201,14 @@ def _mass(robot: Robot) -> str:
 
 
 def _anchors(robot: Robot) -> str:
-    """Size of the base, and the cables that pull the platform down."""
-    from cablebot_gym.kinematics import cable_vectors
-
+    """Size of the base, and which axis points down."""
     sides = robot.base.max(axis=0) - robot.base.min(axis=0)
     size = " × ".join(f"{side:.3g}" for side in sides)
     text = f"base of {size} m"
     if robot.weightless:
         return text
     axis = "y" if robot.planar else "z"
-    rise = cable_vectors(robot.base, robot.platform, robot.home)[:, -1]
-    down = ", ".join(str(index + 1) for index in range(robot.cables) if rise[index] <= 0)
-    pull = "all cables pull up"
-    if down:
-        pull = f"cables {down} pull down"
-    return f"{text}; {axis} points down: at home, {pull}"
+    return f"{text}; {axis} points down"
 
 
 def _sag_lines(check: RobotCheck, motion: MotionCheck) -> list[str]:

@@ -32,8 +32,7 @@ def rollout(
     A figure shows torques, path and errors (extra plot). A recording has one row for each control
     step, in SI units and radians. Each row holds the pose, velocity, reference and errors at `time`,
     the end of the step, and the commanded action, torques [N·m], tensions [N] and motor speeds
-    [rad/s] at `action_time`, the start of the step. Flexible robots add the motor angles at `time`,
-    and joint springs their deflections.
+    [rad/s] at `action_time`, the start of the step. Flexible robots add the motor angles at `time`.
 
     Examples:
 

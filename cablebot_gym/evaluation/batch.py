@@ -42,8 +42,8 @@ ALONE = 12
 Each costs the start of an isolated policy."""
 
 STOCHASTIC_ALONE = fewest_draws(0.95, 0.95)
-"""Least number of fresh draws that try a payload of a stochastic policy alone in their batch. Its
-episodes cannot be compared with repetitions, so these draws have to assure the payload."""
+"""Largest number of them for a stochastic policy, whose episodes cannot be compared with
+repetitions."""
 
 RISK = 1e-4
 """Risk of :func:`~cablebot_gym.evaluation.statistics.plausible_successes` of these draws."""
@@ -379,56 +379,42 @@ class Batch:
             options["reset_mask"] = motion_of_row > motion
         return observation, info
 
-    def check_alone(self, payload: float, carried: int, count: StepCount | None = None) -> None:
-        """Tries a payload in fresh draws, one batch each, until enough of them carry it.
+    @property
+    def alone(self) -> int:
+        """Largest number of fresh draws that try a payload alone."""
+        return STOCHASTIC_ALONE if self.policy.declarations.stochastic else ALONE
+
+    def check_alone(
+        self,
+        rows: Sequence[EpisodeSpec],
+        carried: int,
+        draws: int,
+        count: StepCount | None = None,
+    ) -> None:
+        """Tries fresh draws, one batch each, until enough of them are carried. An isolated policy has
+        a fresh process for each.
 
         A policy that averages noise over the rows of a batch carries more there than alone.
 
         Args:
-            payload: nominal payload [kg].
-            carried: number of the batch's draws that carried it together with other episodes.
+            rows: the fresh draws, with payloads that were carried together with other episodes.
+            carried: number of the other draws that were carried together.
+            draws: number of these draws.
             count: counts the control steps.
 
         Raises:
-            PolicyError: if fewer than the plausible number of :data:`ALONE` draws carry it.
+            PolicyError: if fewer than the plausible number of rows are carried.
         """
-        required = plausible_successes(carried, self.draws, ALONE, RISK)
-        alone = self.try_alone(payload, ALONE, required, count)
-        if alone.carried < required:
-            raise self.dependent(alone, carried)
-
-    def try_alone(
-        self, payload: float, draws: int, required: int, count: StepCount | None
-    ) -> Trial:
-        """Tries a payload in fresh draws, each alone in its batch, so that an isolated policy has a
-        fresh process for each.
-
-        Args:
-            payload: nominal payload [kg].
-            draws: number of draws.
-            required: number of draws that have to carry it.
-            count: counts the control steps.
-
-        Returns:
-            The draws up to the one that decides.
-        """
-        verdicts: list[Verdict] = []
-        carried = 0
-        seeds = derived_seeds(fresh_sequence(self.conditions.seed), draws)
-        for seed in seeds:
-            if carried == required or len(verdicts) - carried > draws - required:
-                break
-            (verdict,) = self.run([EpisodeSpec(payload, seed)], count=count)
-            verdicts.append(verdict)
-            carried += verdict.carried
-        return Trial(payload=payload, verdicts=tuple(verdicts), seeds=tuple(seeds[: len(verdicts)]))
-
-    def dependent(self, alone: Trial, carried: int) -> PolicyError:
-        """The error of a policy that carries a payload together with other episodes, in ``carried``
-        draws, and not alone."""
-        text = f"{alone.payload:.3f} kg is carried in {alone.carried} of {len(alone.verdicts)} "
-        text += f"draws alone, in {carried} of {self.draws} together"
-        return PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
+        required = plausible_successes(carried, draws, len(rows), RISK)
+        alone = 0
+        for tried, row in enumerate(rows, 1):
+            if alone == required:
+                return
+            alone += self.run([row], count=count)[0].carried
+            if tried - alone > len(rows) - required:
+                text = f"up to {max(rows).payload:.3f} kg is carried in {alone} of {tried} draws "
+                text += f"alone, in {carried} of {draws} together"
+                raise PolicyError(f"policy {self.policy.name!r} {DEPENDENT.format(text)}")
 
 
 def _task(env: CableBotVectorEnv, motion: Trajectory | None, seed: int) -> Task:

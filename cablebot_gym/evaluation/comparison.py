@@ -156,9 +156,6 @@ class Comparison(Result):
     """Nominal payload [kg]."""
     draw_seeds: tuple[int, ...]
     """Seed of each draw. ``env.reset(seed=…)`` or ``cablebot rollout --seed`` repeats the draw."""
-    isolated: bool
-    """Whether each policy ran in a process of its own. Otherwise one could change the evaluation of
-    all, and every later one of this process."""
     metrics: tuple[PolicyMetrics, ...] = field(repr=False)
     """Metrics of the policies, in the order of the arguments."""
     environment: dict[str, Any]
@@ -225,7 +222,7 @@ class Comparison(Result):
             "payload": self.payload,
             "draws": self.draws,
             "draw_seeds": list(self.draw_seeds),
-            "isolated": self.isolated,
+            "isolated": all(metrics.isolated for metrics in self.metrics),
             "error_bounds": vars(self.conditions.bounds),
             "environment": self.environment,
             "versions": versions(),
@@ -342,7 +339,6 @@ def compare_policies(
     payload = number("payload", payload, least=0, unit="kg")
     shared = Conditions.of(env_id, compare_policies, **conditions)
     metrics = []
-    isolated = True
     with chosen_progress(progress, "comparing") as step:
         count = StepCount(step, 0)
         for policy, label, layers in zip(policies, labels, wrappers_of, strict=True):
@@ -351,13 +347,11 @@ def compare_policies(
             rows = [EpisodeSpec(payload, seed) for seed in batch.seeds]
             rollouts = record(batch, rows, _RECORDED, count)
             radius = batch.settings.error_bounds.termination_radius
-            isolated &= batch.policy.isolated
             metrics.append(_metrics(batch.policy, rollouts, radius))
     return Comparison(
         conditions=shared,
         payload=payload,
         draw_seeds=tuple(batch.seeds),
-        isolated=isolated,
         metrics=tuple(metrics),
         environment=batch.environment(),
         task=batch.task,
@@ -370,18 +364,12 @@ def _labels(policies: Sequence[Any], names: Sequence[str] | None) -> list[str]:
     Raises:
         ValueError: if there is no policy, or if two have the same name.
     """
-    if isinstance(policies, str):
-        raise ValueError(f"policies must be a list, such as [{policies!r}], not one name")
-    if names is None:
-        names = [name_of(policy) for policy in policies]
-    if not names:
-        raise ValueError("there is no policy to compare: give at least one policy")
-    if len(set(names)) < len(names) or len(names) != len(policies):
-        raise ValueError(
-            f"every policy needs its own name, but the names are {', '.join(names)}: "
-            "give distinct names"
-        )
-    return list(names)
+    if isinstance(policies, str) or not policies:
+        raise ValueError(f"policies must be a list, such as ['fl', 'robust'], not {policies!r}")
+    labels = list(names or map(name_of, policies))
+    if len(set(labels)) < len(policies) or len(labels) != len(policies):
+        raise ValueError(f"policies need distinct names, not {', '.join(labels)}")
+    return labels
 
 
 def compare_over_payloads(

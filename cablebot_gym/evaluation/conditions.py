@@ -18,7 +18,7 @@ from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.robots import Robot, private_robot
 from cablebot_gym.task import ErrorBounds, find_error_bounds, payload_model_text, to_jsonable
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
-from cablebot_gym.utils.checks import UnexpectedKeywordError, check_keywords, choice, whole
+from cablebot_gym.utils.checks import check_keywords, choice, whole
 from cablebot_gym.utils.results import Printed
 
 _RESERVED = (
@@ -97,21 +97,6 @@ class Conditions(Printed):
         conditions = cls(env_id=env_id, further=deepcopy(keywords), **deepcopy(given))
         conditions.bounds, conditions.model_error  # noqa: B018 - checks them
         return conditions
-
-    @classmethod
-    def of_episode(cls, env_id: str, function: Callable[..., Any], **keywords: Any) -> Conditions:
-        """Checked conditions of a single episode, as from :meth:`of`.
-
-        Raises:
-            TypeError: if a keyword is unknown.
-            ValueError: if an argument is invalid, or the number of ``draws`` is given.
-        """
-        if "draws" in keywords:
-            raise UnexpectedKeywordError(
-                "got an unexpected keyword argument 'draws'; "
-                f"{function.__name__} runs one episode: seed selects its draw"
-            )
-        return cls.of(env_id, function, draws=1, **keywords)
 
     @cached_property
     def nominal_robot(self) -> Robot:

@@ -134,19 +134,15 @@ def default_payload_max(robot: Robot, trajectory: Trajectory, error_bounds: Erro
 
 def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: bool) -> DLCCResult:
     """The result of a search."""
-    below = outcome.below
-    above = outcome.above
-    payload = failed_payload = violation = assured = None
+    payload = failed_payload = violation = None
     gap = 0.0
-    if below is not None:
-        payload = below.payload
-    if above is not None:
-        failed_payload = above.payload
-        violation = above.violation
+    if outcome.below is not None:
+        payload = outcome.below.payload
+    if outcome.above is not None:
+        failed_payload = outcome.above.payload
+        violation = outcome.above.violation
     if payload is not None and failed_payload is not None:
         gap = failed_payload - payload
-    if batch.random:
-        assured = outcome.assured
     return DLCCResult(
         policy=batch.policy.name,
         conditions=batch.conditions,
@@ -156,7 +152,7 @@ def _result(batch: Batch, outcome: SearchOutcome, details: Details, *, ranked: b
         violation=violation,
         ranked=ranked,
         draw_seeds=tuple(batch.seeds),
-        assured=assured,
+        assured=outcome.assured if batch.random else None,
         isolated=batch.policy.isolated,
         rollout=outcome.rollout,
         details=details,
@@ -189,7 +185,6 @@ def _details(
     return Details(
         payload_max=payload_max,
         feasible=outcome.feasible,
-        success=outcome.success,
         discretisation=outcome.discretisation,
         margins={} if below is None else _margins(below, bounds, maximum_tension),
         error_bounds=bounds,

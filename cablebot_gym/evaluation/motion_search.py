@@ -103,11 +103,8 @@ class MotionSearch:
         self.scan_trials: list[Trial] = []
         """Trials of the scan."""
         self._rng = rng
-        self._resolution = plan.resolution
         self._trials: dict[float, Trial] = {}
         self._weak: dict[int, None] = {}
-        self._refused: set[float] = set()
-        self._retreated: float | None = None
         self._dense_due = plan.has_dense
         self._repeated: list[int] = []
         # what the last question asked for
@@ -173,22 +170,10 @@ class MotionSearch:
             required = self.plan.required
             if self.plan.weak_first:  # a trial of some draws is carried by all of them
                 required = len(trial.verdicts)
-            if trial.carried < required or payload in self._refused:
+            if trial.carried < required:
                 return below, trial
             below = trial
         return below, None
-
-    def retreat(self, factor: float) -> None:
-        """Lowers the payload: it counts as failed, and it times ``factor`` is tried next, or zero if
-        that is small. There is no refinement any more."""
-        below, _ = self.bracket()
-        assert below is not None
-        payload = factor * below.payload
-        if payload < self.plan.resolution:
-            payload = 0.0
-        self._refused.add(below.payload)
-        self._resolution = math.inf
-        self._retreated = payload
 
     def scan_carried(self) -> list[bool]:
         """Whether enough draws of the scan carry each payload."""
@@ -212,10 +197,7 @@ class MotionSearch:
         seeds = self.plan.seeds
         below, above = self.bracket()
         payloads: list[float] = []
-        if self._retreated is not None:
-            payloads = [self._retreated]
-            self._retreated = None
-        elif below is not None and above is not None:
+        if below is not None and above is not None:
             payloads = self._inside(below, above)
             if self.plan.weak_first and self._weak:
                 if payloads:
@@ -242,16 +224,18 @@ class MotionSearch:
         low = below.payload
         high = above.payload
         gap = high - low
-        if gap <= self._resolution:
+        if gap <= self.plan.resolution:
             return []
-        points = min(self.plan.refined_points, (1 + 2 * REFINED_JITTER) * gap / self._resolution)
+        points = min(
+            self.plan.refined_points, (1 + 2 * REFINED_JITTER) * gap / self.plan.resolution
+        )
         payloads = _between(self._rng, low, high, math.ceil(points), REFINED_JITTER)
         draws = len(self.plan.seeds)
         lost_draws = below.carried - above.carried
         if draws > 1 and not self.plan.weak_first and 0 < lost_draws < draws / 8:
             # The number of carried draws is nearly linear in such a gap: try both sides of the
             # interpolated payload.
-            half_width = max(0.4 * self._resolution, 0.1 * gap)
+            half_width = max(0.4 * self.plan.resolution, 0.1 * gap)
             margin = 1.5 * half_width
             center = low + gap * (below.carried - self.plan.required + 0.5) / lost_draws
             center = min(max(center, low + margin), high - margin)

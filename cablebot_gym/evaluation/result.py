@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from cablebot_gym.envs import described
@@ -23,9 +23,6 @@ class Details:
     """Intervals of carried payloads on the grid of the scan [kg]. Only the end of the first interval
     is refined and checked with random payloads. With several draws, the others are those of the
     scan's draws."""
-    success: tuple[tuple[float, float], ...]
-    """Pairs of payload [kg] and fraction of the draws that carry it, from the draws of the scan;
-    empty for one draw."""
     discretisation: float | None
     """Deviation of the payload with ten times as many physics steps from ``payload`` [kg], 0 if it
     is in the same gap; None if it is not checked: with several draws, and by bisection."""
@@ -67,11 +64,11 @@ class Details:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON-able data without ``fallbacks``, and without ``wrappers`` if there are none."""
-        data = {item.name: getattr(self, item.name) for item in fields(self) if item.repr}
-        for name in ("feasible", "success"):
-            data[name] = [list(pair) for pair in data[name]]
-        wrappers = list(data.pop("wrappers"))
-        return data | ({"wrappers": wrappers} if wrappers else {})
+        data = asdict(self)
+        del data["fallbacks"]
+        if not self.wrappers:
+            del data["wrappers"]
+        return data
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

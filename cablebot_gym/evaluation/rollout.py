@@ -15,7 +15,7 @@ from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.evaluation.batch import Batch, EpisodeSpec, StepCount
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.judge import Verdict
-from cablebot_gym.kinematics import Array, cable_lengths
+from cablebot_gym.kinematics import Array
 from cablebot_gym.policies import Wrapper
 from cablebot_gym.rendering.moment import Moment
 from cablebot_gym.robots import COORDINATE_NAMES
@@ -35,7 +35,7 @@ _UNITS = {
     "s": "time action_time",
     "kg": "payload",
     "m": "tracking_error tracking_error_peak",
-    "rad": "rotation_error rotation_error_peak motor_angle spring_deflection orientation",
+    "rad": "rotation_error rotation_error_peak motor_angle orientation",
     "rad/s": "motor_speeds motor_speed angular_rate",
     "m/s²": "specific_force",
     "N": "tensions least_tensions largest_tensions",
@@ -61,9 +61,8 @@ class Rollout(Printed):
     """Arrays by name, with the control steps as first axis, in SI units and radians. Pose,
     velocity, reference and errors are those at ``time``, the end of the step. ``pose`` and
     ``velocity`` are measured, ``true_pose`` is exact. Flexible robots have the measured
-    ``motor_angle``, too, and with joint springs and cables that do not stretch the
-    ``spring_deflection``, the motor angle minus the pulley angle. Commanded action, torques,
-    tensions and motor speeds are those at ``action_time``, the start of the step."""
+    ``motor_angle``, too. Commanded action, torques, tensions and motor speeds are those at
+    ``action_time``, the start of the step."""
     verdict: Verdict
     """Verdict under the criterion."""
     reason: str
@@ -160,8 +159,7 @@ class Recorder:
         self._env = env
         tasks = env.tasks
         self._tasks = [tasks[index] for index in self._indices]
-        self._truth = self._env.truth
-        self._stall_torque = self._truth["motor_strength"]
+        self._stall_torque = env.truth["motor_strength"]
         self._record(observation, np.zeros(len(observation)), info)
 
     def step(
@@ -188,11 +186,6 @@ class Recorder:
             motion = {name: observation[:, slices[name]] for name in ("pose", "velocity")} | motion
             if robot.flexible:
                 motion["motor_angle"] = observation[:, slices["motor_angle"]]
-        # the length of an elastic cable does not tell the pulley angle
-        if robot.jointed:
-            motion["spring_deflection"] = (
-                observation[:, slices["motor_angle"]] - self._pulley_angle()
-            )
         state = {
             "time": info["time"],
             **motion,
@@ -204,17 +197,6 @@ class Recorder:
         self._states.append(
             {name: values[self._indices] for name, values in state.items() if name in names}
         )
-
-    def _pulley_angle(self) -> Array:
-        """Pulley angles of the true robots, (N, m) [rad]."""
-        robot = self._env.settings.robot
-        pose = self._env.pose
-        platform = self._truth.get("platform_anchors", robot.platform)
-        lengths = [
-            cable_lengths(self._truth["base_anchors"], platform, at, robot.swivel)
-            for at in (np.broadcast_to(robot.home, pose.shape), pose)
-        ]
-        return np.asarray((lengths[0] - lengths[1]) / robot.pulley_radius)
 
     def rollouts(self, verdicts: Sequence[Verdict]) -> list[Rollout]:
         """The recorded episodes.
@@ -302,7 +284,7 @@ def record_rollout(
             finite actions.
     """
     payload = number("payload", payload, least=0, unit="kg")
-    shared = Conditions.of_episode(env_id, record_rollout, **conditions)
+    shared = Conditions.of(env_id, record_rollout, draws=1, **conditions)
     batch = Batch(policy, shared, name=name, wrappers=wrappers)
     with chosen_progress(progress, f"{batch.policy.name} on {env_id}", "steps") as step:
         count = StepCount(step, batch.task.steps)

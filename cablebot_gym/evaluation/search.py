@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablebot_gym.evaluation.batch import (
-    ALONE,
     BATCH,
     DEPENDENT,
     STOCHASTIC_ALONE,
@@ -35,7 +34,7 @@ from cablebot_gym.evaluation.motion_search import (
 )
 from cablebot_gym.evaluation.repetition import first_difference
 from cablebot_gym.evaluation.rollout import Recorder, Rollout
-from cablebot_gym.evaluation.statistics import fewest_draws, required_successes
+from cablebot_gym.evaluation.statistics import required_successes
 from cablebot_gym.policies import PolicyError
 from cablebot_gym.utils.console import Progress
 
@@ -73,7 +72,7 @@ _Pairs = tuple[tuple[float, float], ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SearchOutcome:
-    """Outcome of a search. ``feasible``, ``success`` and ``discretisation`` are fields of
+    """Outcome of a search. ``feasible`` and ``discretisation`` are fields of
     :class:`~cablebot_gym.evaluation.result.Details`, ``assured`` and ``rollout`` of
     :class:`~cablebot_gym.evaluation.result.DLCCResult`."""
 
@@ -83,9 +82,6 @@ class SearchOutcome:
     """Trial of the least failed payload above; None if there is none."""
     feasible: _Pairs
     """Intervals of carried payloads on the grid of the scan [kg]."""
-    success: _Pairs
-    """Payload [kg] and fraction of the draws that carry it, for each payload of the scan; empty for
-    one draw."""
     discretisation: float | None
     assured: bool
     rollout: Rollout
@@ -118,8 +114,6 @@ class Search:
     ) -> None:
         self._batch = batch
         self._resolution = resolution
-        self._probability = probability
-        self._confidence = confidence
         self._is_scan = is_scan
         self._is_drawn = batch.draws > 1
         self._required, self._assured = required_successes(batch.draws, probability, confidence)
@@ -153,7 +147,7 @@ class Search:
         self._grid = self._motion.grid
         batches = BATCHES
         if self._is_drawn:
-            batches += STOCHASTIC_ALONE if batch.policy.declarations.stochastic else ALONE
+            batches += batch.alone
         self._count = StepCount(progress, batches * batch.task.steps)
 
     def run(self) -> SearchOutcome:
@@ -168,61 +162,21 @@ class Search:
         if self._is_scan and not self._is_drawn:
             discretisation = self._discretisation(below, above)
         if below is not None and self._is_drawn:
-            if self._batch.policy.declarations.stochastic:
-                below, above = self._confirm_alone()
-            else:
-                self._batch.check_alone(below.payload, self._required, self._count)
+            batch = self._batch
+            seeds = derived_seeds(fresh_sequence(batch.conditions.seed), batch.alone)
+            rows = _rows([below.payload], seeds)
+            batch.check_alone(rows, self._required, batch.draws, self._count)
+            if not batch.policy.declarations.stochastic:
                 self._repeat_draws(below)
         rollout, below, above = self._record(below, above)
-        success = []
-        if self._is_drawn:
-            for trial in self._motion.scan_trials:
-                success.append((trial.payload, trial.carried / len(trial.verdicts)))
         return SearchOutcome(
             below=below,
             above=above,
             feasible=self._feasible(below),
-            success=tuple(success),
             discretisation=discretisation,
             assured=self._assured,
             rollout=rollout,
         )
-
-    def _confirm_alone(self) -> tuple[Trial | None, Trial | None]:
-        """Tries the payload of a stochastic policy in draws alone, which have to assure it without
-        the draws that it has carried together.
-
-        A payload that they do not assure counts as failed. The next lower one that has been tried
-        follows, or, if there is none, the next lower one of the scan.
-
-        Returns:
-            The trials of the payload and of the least failed one above.
-
-        Raises:
-            PolicyError: if the draws do not even assure zero payload.
-        """
-        draws = max(STOCHASTIC_ALONE, fewest_draws(self._probability, self._confidence))
-        required, _ = required_successes(draws, self._probability, self._confidence)
-        while True:
-            below, above = self._motion.bracket()
-            if below is None and (above is None or above.payload == 0):
-                return below, above
-            if below is None:
-                assert above is not None
-                lower = max(payload for payload in self._grid if payload < above.payload)
-                seeds = tuple(self._batch.seeds)
-                verdicts = tuple(self._batch.run(_rows([lower], seeds), count=self._count))
-                self._motion.store([Trial(payload=lower, verdicts=verdicts, seeds=seeds)])
-                continue
-            alone = self._batch.try_alone(below.payload, draws, required, self._count)
-            if alone.carried >= required:
-                return below, above
-            if below.payload == 0:
-                raise self._batch.dependent(alone, below.carried)
-            failed = [verdict.carried for verdict in alone.verdicts].index(False)
-            verdict = alone.verdicts[failed]
-            seed = alone.seeds[failed]
-            self._motion.store([replace(alone, verdicts=(verdict,), seeds=(seed,))])
 
     def _repeat_draws(self, trial: Trial) -> None:
         """Repeats draws of a payload among other payloads and draws, in another order.

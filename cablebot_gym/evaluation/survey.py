@@ -59,9 +59,6 @@ REPEATED = STOCHASTIC_ALONE
 """Number of carried episodes that are repeated in other company; alone, in a process of its own, for a
 policy that is not shipped."""
 
-RETREAT = 0.98
-"""Factor of the payloads of a stochastic policy that it does not carry alone."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MotionPayload:
@@ -166,7 +163,7 @@ def survey(
     find_brackets(batch, searches)
     rng = np.random.default_rng(np.random.SeedSequence(seeds, spawn_key=(4,)))
     if batch.policy.declarations.stochastic:
-        _confirm_alone(batch, searches, seeds, rng)
+        _check_alone(batch, searches, seeds, rng)
     else:
         _check_repetition(batch, searches, rng)
     payloads = []
@@ -260,42 +257,25 @@ def _check_repetition(
         raise PolicyError(f"policy {batch.policy.name!r} {DEPENDENT.format(difference)}")
 
 
-def _confirm_alone(
+def _check_alone(
     batch: Batch,
     searches: Sequence[MotionSearch],
     seeds: Sequence[int],
     rng: np.random.Generator,
 ) -> None:
     """Tries fresh robots with the payloads, each alone, on all motions in turn and in random order.
-    They all have to carry them; otherwise all payloads are lowered.
 
     Raises:
-        PolicyError: if unloaded robots fail.
+        PolicyError: if implausibly few of them carry the payloads.
     """
-    while True:
-        carried = _carried(searches)
-        if not carried:
-            return
-        chosen = rng.permutation(np.resize(np.arange(len(carried)), STOCHASTIC_ALONE))
-        if _are_carried_alone(batch, [carried[index] for index in chosen], seeds):
-            return
-        for search, trial in carried:
-            if trial.payload > 0:
-                search.retreat(RETREAT)
-        find_brackets(batch, searches)
-
-
-def _are_carried_alone(
-    batch: Batch, carried: Sequence[tuple[MotionSearch, Trial]], seeds: Sequence[int]
-) -> bool:
-    """Whether fresh robots carry the payloads of motions, each alone in its batch."""
-    fresh_seeds = derived_seeds(fresh_sequence(seeds), len(carried))
-    for (search, trial), seed in zip(carried, fresh_seeds, strict=True):
-        (verdict,) = batch.run([EpisodeSpec(trial.payload, seed, search.motion)])
-        if verdict.carried:
-            continue
-        if trial.payload == 0:
-            reason = DEPENDENT.format("unloaded robots fail alone and not together")
-            raise PolicyError(f"policy {batch.policy.name!r} {reason}")
-        return False
-    return True
+    carried = _carried(searches)
+    if not carried:
+        return
+    chosen = rng.permutation(np.resize(np.arange(len(carried)), batch.alone))
+    rows = []
+    for index, seed in zip(chosen, derived_seeds(fresh_sequence(seeds), batch.alone), strict=True):
+        search, trial = carried[index]
+        rows.append(EpisodeSpec(trial.payload, seed, search.motion))
+    robots = sum(len(trial.verdicts) for _, trial in carried)
+    # one more robot on each motion may fail
+    batch.check_alone(rows, robots, robots + len(carried))

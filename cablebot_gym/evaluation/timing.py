@@ -88,7 +88,7 @@ def time_actions(
             finite actions.
     """
     with compiled_at_once():
-        batch = Batch(policy, Conditions.of_episode(env_id, time_actions, **conditions))
+        batch = Batch(policy, Conditions.of(env_id, time_actions, draws=1, **conditions))
         timed = TimedPolicy(batch.policy.policy)
         batch.policy = replace(batch.policy, policy=timed)
         payload = number("payload", payload, least=0, unit="kg")

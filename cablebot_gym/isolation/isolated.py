@@ -26,14 +26,13 @@ from cablebot_gym.isolation.server import (
     ANSWER,
     END,
     ENDED,
-    FAILURE,
     INVALID,
     LOAD,
     PREDICT,
     RESET,
     START,
 )
-from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations, say
+from cablebot_gym.policies.protocol import Array, LoadedPolicy, PolicyError, declarations
 from cablebot_gym.policies.spec import POLICY_SUFFIXES, PolicySpec
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import Task
@@ -105,13 +104,9 @@ class IsolatedPolicy:
         self.stochastic = declared.stochastic
         self.measurement = plain(declared.measurement)
         self.wrappers = _texts(described.get("wrappers"))
-        """Names of the wrappers, the innermost first, with those that were found beside the
-        policy."""
+        """Names of the wrappers, the innermost first."""
         self.alone = described.get("alone") is True
         """Whether each episode runs alone, because a wrapper wraps a single environment."""
-        self._note = plain(described.get("note", ""))
-        if self._note:
-            say(name, self._note)
         self.fallbacks: float | None = 0.0 if described.get("fallbacks") is True else None
         """Number of fallbacks that the policy has counted; None if it does not count them."""
 
@@ -126,7 +121,6 @@ class IsolatedPolicy:
             isolated=True,
             bubblewrap=self.bubblewrap,
             wrappers=self.wrappers,
-            note=self._note,
         )
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -232,13 +226,9 @@ class IsolatedPolicy:
         content = parse_json(body)
         if reply_kind == ENDED and isinstance(content, int):
             raise self._failed(str(process.ended(content)))
-        if (
-            reply_kind not in (FAILURE, INVALID)
-            or not isinstance(content, dict)
-            or "error" not in content
-        ):
+        if not isinstance(content, dict):
             raise self._failed("its process sent invalid data")
-        cause = plain(content["error"])
+        cause = plain(content.get("error"))
         index = content.get("index")
         if reply_kind == INVALID:
             self.close()

@@ -27,7 +27,7 @@ from typing import IO, Any
 
 from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.policies.protocol import PolicyError, called, declarations, reset_policy, shaped
-from cablebot_gym.policies.spec import PolicySpec, load
+from cablebot_gym.policies.spec import load
 from cablebot_gym.policies.wrappers import PolicyEnv, run_policy
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
@@ -36,7 +36,7 @@ from cablebot_gym.utils.user_code import raised
 HEADER = struct.Struct("<BQ")
 """Header of a frame: kind, number of bytes of the body."""
 
-LOAD, START, RESET, PREDICT, END, DESCRIBE = range(6)
+LOAD, START, RESET, PREDICT, END = range(5)
 """Kinds of requests. ``START`` and ``END`` enclose a batch of a process that forks."""
 
 ANSWER, FAILURE, INVALID, ENDED = range(4)
@@ -119,7 +119,6 @@ class _Server:
         self._state = None
         declared = declarations(self._policy)
         described = declared._asdict() | {
-            "note": loaded.note,
             "wrappers": loaded.wrappers,
             "alone": loaded.alone,
             "fallbacks": hasattr(self._policy, "fallbacks"),
@@ -178,23 +177,6 @@ class _Server:
             "<d", fallbacks
         )
 
-    def describe(self, name: str, path: list[str]) -> bytes:
-        """Data of the entry of an installed policy as JSON."""
-        sys.path[:] = path
-        entry = PolicySpec.parse(name).entry()
-        if entry is None:
-            raise ValueError(
-                f"its package cannot be imported, or its entry has another name than {name!r}"
-            )
-        files = None if entry.files is None else [os.path.abspath(file) for file in entry.files]
-        return json.dumps(
-            {
-                "env_ids": list(entry.env_ids),
-                "slow": entry.slow,
-                "files": files,
-            }
-        ).encode()
-
 
 def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
     """Answers requests, those of a batch in a fork.
@@ -208,7 +190,6 @@ def serve(requests: IO[bytes], replies: IO[bytes]) -> None:
         START: server.start,
         RESET: server.reset,
         PREDICT: server.predict,
-        DESCRIBE: server.describe,
     }
     while True:
         kind, request = receive_frame(requests)

@@ -3,17 +3,12 @@
 from io import BytesIO
 from typing import Any
 
-from cablebot_gym.plotting.comparison import (
-    draw_comparison,
-    draw_payload_comparison,
-    save_comparison,
-)
+from cablebot_gym.plotting.comparison import draw_comparison, draw_payload_comparison
 from cablebot_gym.plotting.figures import (
     draw_result,
     draw_rollout,
-    draw_success,
     draw_torques,
-    save_figures,
+    save_result,
 )
 from cablebot_gym.plotting.robots import draw_robot
 
@@ -23,11 +18,9 @@ __all__ = [
     "draw_result",
     "draw_robot",
     "draw_rollout",
-    "draw_success",
     "draw_torques",
     "figure_png",
-    "save_comparison",
-    "save_figures",
+    "save_result",
 ]
 
 _DRAWINGS: dict[str, Any] = {

@@ -3,15 +3,13 @@ Extra ``plot``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cablebot_gym.evaluation.comparison import Comparison, PayloadComparison
 from cablebot_gym.kinematics import Array
-from cablebot_gym.plotting.figures import add_legend, new_figure, save_figure, set_title
+from cablebot_gym.plotting.figures import add_legend, new_figure, set_title
 from cablebot_gym.utils.palette import (
     BLACK,
     BLUE,
@@ -139,20 +137,6 @@ def _line(index: int) -> dict[str, Any]:
         "linestyle": STYLES[index % len(STYLES)],
         "linewidth": 1.8,
     }
-
-
-def save_comparison(comparison: Comparison | PayloadComparison, folder: str | Path) -> Path:
-    """Writes ``comparison.png``. An interrupted call leaves no partial file.
-
-    Raises:
-        ImportError: if matplotlib is missing; the message names the command that installs it.
-    """
-    path = Path(folder, "comparison.png")
-    draw: Callable[[Any], Figure] = draw_payload_comparison
-    if isinstance(comparison, Comparison):
-        draw = draw_comparison
-    save_figure(draw(comparison), path)
-    return path
 
 
 def _over_time(axes: Axes, comparison: Comparison, series: str) -> None:

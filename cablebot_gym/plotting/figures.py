@@ -169,59 +169,16 @@ def _draw_both(rollout: Rollout, bounds: Mapping[str, float | None]) -> Figure:
     return figure
 
 
-def draw_success(result: DLCCResult) -> Figure:
-    """Draws the fraction of the scan's draws that carry each payload, the required probability and
-    the payload.
-
-    Raises:
-        ImportError: if matplotlib is missing; the message names the command that installs it.
-        ValueError: if the result has only one draw.
-    """
-    details = result.details
-    if details.probability is None:
-        raise ValueError("a success curve needs several draws: evaluate with a random uncertainty")
-    figure = new_figure(_PATH_HEIGHT)
-    axes = figure.subplots()
-    payload, fraction = np.array(details.success).T
-    label = "fraction of the scan's draws that carry it"
-    axes.plot(payload, fraction, color=BLUE, linewidth=1.8, marker="o", markersize=3, label=label)
-    label = f"required: {details.probability:.0%}"
-    axes.axhline(details.probability, color="black", linewidth=1.0, label=label)
-    if result.payload is not None:
-        label = f"payload: {result.payload:.2f} kg ({result.assurance})"
-        axes.axvline(result.payload, color=VERMILLION, linewidth=1.2, label=label)
-    # The axis ends a little above the largest payload that is carried.
-    largest = payload[fraction > 0].max(initial=0.0)
-    end = min(details.payload_max, 1.25 * largest + 0.02 * details.payload_max)
-    axes.set(xlim=(0, end), ylim=(0, 1.02), xlabel="payload [kg]", ylabel="fraction of draws")
-    add_legend(figure, axes)
-    set_title(figure, *_result_title(result))
-    return figure
-
-
-def save_figures(result: DLCCResult, folder: str | Path) -> list[Path]:
-    """Writes ``result-<criterion>.png``, and with several draws ``success-<criterion>.png``. An
-    interrupted call leaves no partial file.
-
-    Args:
-        result: the result to draw.
-        folder: folder of the files; created if it does not exist.
-
-    Returns:
-        Paths of the written files.
+def save_result(result: DLCCResult, folder: str | Path) -> Path:
+    """Writes ``result-<criterion>.png`` to a folder, which is created if it does not exist, and
+    returns its path. An interrupted call leaves no partial file.
 
     Raises:
         ImportError: if matplotlib is missing; the message names the command that installs it.
     """
-    figures = {"result": draw_result(result)}
-    if result.details.probability is not None:
-        figures["success"] = draw_success(result)
-    paths = []
-    for name, figure in figures.items():
-        path = Path(folder, f"{name}-{result.criterion}.png")
-        save_figure(figure, path)
-        paths.append(path)
-    return paths
+    path = Path(folder, f"result-{result.criterion}.png")
+    save_figure(draw_result(result), path)
+    return path
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
@@ -271,28 +228,22 @@ def _motor_panels(figure: FigureBase, count: int) -> list[Axes]:
     return list(panels[:count])
 
 
-def _result_title(result: DLCCResult, draw: str = "") -> list[str]:
-    """Lines of a title that states the result; ``draw`` names the draw that a figure shows."""
+def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
+    """Sets the title of a figure that shows the recorded episode of a result."""
     robot = described(result.conditions.env_id, result.conditions.nominal_robot.name)
     lines = [f"{robot}, policy {result.policy}, {result.criterion} criterion"]
     if result.details.probability is not None:
         uncertainty = result.conditions.uncertainty_name or "random episodes"
         lines.append(f"{uncertainty}, {result.assurance}")
-        if draw:
-            lines.append(f"shown: {draw}")
+        draw = "the first draw that carries it"
+        if result.payload is None:
+            draw = "the draw with this violation"
+        lines.append(f"shown: {draw}")
     if result.payload is None:
         lines.append("fails unloaded (shown: zero payload)")
     else:
         lines.append(f"payload {result.payload:.3f} kg, total mass {result.total_mass:.3f} kg")
-    return [*lines, f"limiting violation: {result.violation_text}"]
-
-
-def _set_result_title(figure: FigureBase, result: DLCCResult) -> None:
-    """Sets the title of a figure that shows the recorded episode of a result."""
-    draw = "the first draw that carries it"
-    if result.payload is None:
-        draw = "the draw with this violation"
-    set_title(figure, *_result_title(result, draw))
+    set_title(figure, *lines, f"limiting violation: {result.violation_text}")
 
 
 def _draw_torques(figure: FigureBase, rollout: Rollout) -> None:

@@ -4,7 +4,6 @@ rest."""
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,13 +25,10 @@ from cablebot_gym.utils.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Text
 
-_NUMBER_AT = (0.18, 0.3, 0.42, 0.54, 0.66, 0.78)
-"""Tried positions of a cable's number, as fractions of its length from the base anchor."""
-
-_NUMBER_GAP = 0.06
-"""Least distance of two numbers, as a fraction of the width of the view."""
+_NUMBER_AT = (0.15, 0.35, 0.55, 0.75)
+"""Positions of the numbers of cables from one corner, as fractions of the length from the base
+anchor."""
 
 _CELLS = 61
 """Number of positions along each axis of a drawn slice."""
@@ -115,44 +111,18 @@ def _number_cables(axes: Axes, starts: Array, ends: Array) -> None:
     """Writes the numbers of the cables; cables with one line in this view share a text.
 
     Args:
-        axes: a view with its final limits and aspect.
+        axes: a view.
         starts: base anchors in the view, (m, 2) [m].
         ends: platform anchors in the view, (m, 2) [m].
     """
-    # Texts have sizes in points: their overlaps depend on the scale of the view, which is known
-    # from here on, apart from the margins of the final layout.
-    axes.apply_aspect()
-    size = np.ptp(np.concatenate([starts, ends]), axis=0)
-    least_gap = _NUMBER_GAP * float(size.max())
-    numbers: list[Text] = []
+    box = {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
+    corner = 0.1 * float(np.ptp(starts, axis=0).max())
+    numbered: list[Array] = []
     for cables in coinciding(np.hstack([starts, ends])):
         start = starts[cables[0]]
         end = ends[cables[0]]
         text = ", ".join(str(cable + 1) for cable in cables)
-        number = axes.text(start[0], start[1], text, fontsize=8, ha="center", va="center")
-        number.set_bbox(
-            {"boxstyle": "round,pad=0.1", "facecolor": "white", "edgecolor": "none", "alpha": 0.8}
-        )
-        candidates = [start + fraction * (end - start) for fraction in _NUMBER_AT]
-        _move_number(number, candidates, numbers, least_gap)
-        numbers.append(number)
-
-
-def _move_number(
-    number: Text, candidates: Sequence[Array], numbers: Sequence[Text], least_gap: float
-) -> None:
-    """Moves a text to the first candidate point where it is free of other numbers, or else to the
-    one farthest from them. Points are at least ``least_gap`` [m] from other numbers."""
-    widest_gap = -1.0
-    widest_point = number.get_position()
-    boxes = [other.get_window_extent() for other in numbers]
-    for point in candidates:
-        number.set_position((float(point[0]), float(point[1])))
-        distances = [math.dist(point, other.get_position()) for other in numbers]
-        gap = min(distances, default=math.inf)
-        if gap > least_gap and not number.get_window_extent().count_overlaps(boxes):
-            return
-        if gap > widest_gap:
-            widest_gap = gap
-            widest_point = number.get_position()
-    number.set_position(widest_point)
+        neighbours = sum(math.dist(start, other) < corner for other in numbered)
+        numbered.append(start)
+        x, y = start + _NUMBER_AT[neighbours % len(_NUMBER_AT)] * (end - start)
+        axes.text(x, y, text, fontsize=8, ha="center", va="center", bbox=box)

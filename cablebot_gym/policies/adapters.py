@@ -10,8 +10,8 @@ import numpy as np
 
 from cablebot_gym.policies.protocol import (
     Array,
-    BatchItemError,
     Policy,
+    PolicyError,
     declarations,
     name_of,
     reset_policy,
@@ -65,7 +65,7 @@ class CallablePolicy:
         """Action of the function for each observation.
 
         Raises:
-            BatchItemError: if the function raises, or if its results are not numbers of one shape.
+            PolicyError: if the function raises, or if its results are not numbers of one shape.
         """
         if observation.ndim == 1:
             return np.asarray(self._function(observation), float), state
@@ -109,7 +109,7 @@ class PolicyFactory:
         """Action of each episode's instance; the state is the list of the states of the instances.
 
         Raises:
-            BatchItemError: if an instance raises, or if the actions are not numbers of one shape.
+            PolicyError: if an instance raises, or if the actions are not numbers of one shape.
         """
         rows = np.atleast_2d(observation)
         if len(rows) != len(self._instances):
@@ -138,7 +138,7 @@ def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
     """Actions that ``act`` returns for the index and the row of each observation, (N, m).
 
     Raises:
-        BatchItemError: if the function raises, or if its results are not numbers of one shape.
+        PolicyError: if the function raises, or if its results are not numbers of one shape.
     """
     actions: list[Array] = []
     for index, row in enumerate(observation):
@@ -146,15 +146,14 @@ def _stacked(observation: Array, act: Callable[[int, Array], Any]) -> Array:
             action = to_floats(act(index, row))
         except KeyboardInterrupt:
             raise
-        except BatchItemError as error:  # of an instance, whose batch has one observation
-            raise BatchItemError(index, str(error)) from error.__cause__
+        except PolicyError as error:  # of an instance, whose batch has one observation
+            raise PolicyError(error.cause, index=index) from error.__cause__
         except BaseException as error:
-            raise BatchItemError(index, raised(error, "it failed with")) from error
+            raise PolicyError(raised(error, "it failed with"), index=index) from error
         actions.append(action)
         if action.shape != actions[0].shape:
-            raise BatchItemError(
-                index, f"it returned shape {action.shape} after {actions[0].shape}"
-            )
+            cause = f"it returned shape {action.shape} after {actions[0].shape}"
+            raise PolicyError(cause, index=index)
     return np.stack(actions)
 
 
@@ -188,14 +187,12 @@ class TransformedPolicy:
         policy: the policy.
         stack: wrappers whose transforms are these functions.
         wrappers: names of the wrappers.
-        note: a sentence about wrappers that the user did not give; may be empty.
     """
 
-    def __init__(
-        self, policy: Policy, stack: Stack, wrappers: tuple[str, ...] = (), note: str = ""
-    ) -> None:
-        self.policy, self.stack = policy, stack
-        self.wrappers, self.note = wrappers, note
+    def __init__(self, policy: Policy, stack: Stack, wrappers: tuple[str, ...] = ()) -> None:
+        self.policy = policy
+        self.stack = stack
+        self.wrappers = wrappers
         self.unsaturated_actions, self.stochastic, _ = declarations(policy)
 
     @property

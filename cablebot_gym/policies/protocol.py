@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import inspect
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -69,7 +67,7 @@ class PolicyEntry:
     summary: str
     """Description in one line."""
     slow: bool = False
-    """Whether an evaluation takes minutes. Most benchmark suites skip slow policies."""
+    """Whether an evaluation takes minutes. Most benchmark suites skip slow policies of this project."""
     unsaturated_actions: bool = False
     """Whether the policy declares ``unsaturated_actions``. A test holds the policies of this project
     to it; the paper criterion marks the results of others as declared."""
@@ -79,10 +77,6 @@ class PolicyEntry:
     files: tuple[Path, ...] | None = None
     """Data files that the policy reads, such as weights. Benchmark results depend on their content.
     None stands for all files in the folder of the policy's module."""
-
-
-LONGEST_NOTE = 200
-"""Largest number of characters of a note of a policy."""
 
 
 class PolicyError(RuntimeError):
@@ -102,15 +96,6 @@ class PolicyError(RuntimeError):
     def of(cls, name: str, cause: str, index: int | None = None) -> PolicyError:
         """The error of a policy with a name."""
         return cls(f"policy {name!r}: {cause}", cause=cause, index=index)
-
-
-class BatchItemError(RuntimeError):
-    """A function failed for one observation of a batch. The message gives the reason."""
-
-    def __init__(self, index: int, message: str) -> None:
-        super().__init__(message)
-        self.index = index
-        """Index of the observation in the batch, from 0."""
 
 
 class Declarations(NamedTuple):
@@ -153,8 +138,6 @@ class LoadedPolicy:
     """Whether this process runs behind bubblewrap, without network and without writing files."""
     wrappers: tuple[str, ...] = ()
     """Names of the wrappers of the training, the innermost first."""
-    note: str = ""
-    """A sentence for the user, about a wrapper that was added without being named; may be empty."""
 
     @property
     def alone(self) -> bool:
@@ -270,8 +253,6 @@ def called(policy: Policy, observation: Any, state: Any, start: Array) -> tuple[
         returned = policy.predict(observation, state=state, episode_start=start, deterministic=True)
     except (KeyboardInterrupt, PolicyError):
         raise
-    except BatchItemError as error:
-        raise PolicyError(str(error), index=error.index) from error.__cause__
     except BaseException as error:
         raise PolicyError(raised(error)) from error
     if not isinstance(returned, tuple) or len(returned) != 2:
@@ -335,13 +316,9 @@ def to_floats(returned: Any) -> Array:
     """Copies actions to an array of floats.
 
     Raises:
-        ValueError: if the actions are not real numbers: text, booleans, or an array with a mask,
-            whose hidden numbers would become actions. The message names their type.
+        ValueError: if the actions are not real numbers, such as text or booleans. The message names
+            their type.
     """
-    if isinstance(returned, np.ma.MaskedArray):
-        raise ValueError(
-            "a masked array instead of real numbers; fill it, as with action.filled(0.0)"
-        )
     try:
         values = np.asarray(returned)
     except KeyboardInterrupt:
@@ -350,11 +327,8 @@ def to_floats(returned: Any) -> Array:
         cause = raised(error, "its conversion raised")
         raise ValueError(f"{type(returned).__name__} instead of real numbers: {cause}") from error
     if values.dtype.kind not in "iuf":
-        advice = ""
-        if values.dtype.kind == "b":
-            advice = "; actions are torques over the limits, from -1 to 1"
         raise ValueError(
-            f"{type(returned).__name__} of type {values.dtype} instead of real numbers{advice}"
+            f"{type(returned).__name__} of type {values.dtype} instead of real numbers"
         )
     return values.astype(float)
 
@@ -367,9 +341,3 @@ def name_of(policy: Any) -> str:
     return str(
         getattr(policy, "name", None) or getattr(policy, "__name__", None) or type(policy).__name__
     )
-
-
-@cache
-def say(name: str, note: str) -> None:
-    """Logs a note of a policy once in a process; without a handler it goes to standard error."""
-    logging.getLogger("cablebot_gym").warning("note of policy %r: %s", name, note[:LONGEST_NOTE])

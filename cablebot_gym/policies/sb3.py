@@ -6,21 +6,20 @@ from __future__ import annotations
 import importlib
 import json
 import pickle
-import re
 import warnings
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
 
-from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.policies.adapters import TransformedPolicy, WrappedPolicy
 from cablebot_gym.policies.protocol import Policy
 from cablebot_gym.policies.wrappers import NORMALISED, Stack, Wrapper, statistics
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.robots import Robot
 
 SB3_ALGORITHMS = ("PPO", "SAC", "TD3", "A2C", "DDPG")
 """Algorithms of Stable-Baselines3 with continuous actions."""
@@ -30,9 +29,6 @@ CONTRIB_ALGORITHMS = ("TQC", "CrossQ", "RecurrentPPO", "TRPO", "ARS")
 
 SBX_ALGORITHMS = ("PPO", "SAC", "TD3", "DDPG", "TQC", "CrossQ")
 """Algorithms of SBX with continuous actions."""
-
-STATISTICS = ("vecnormalize.pkl", "vec_normalize.pkl")
-"""Names of files with the statistics of ``VecNormalize`` that are found beside a model."""
 
 
 def load_model(path: Path) -> Any:
@@ -55,46 +51,20 @@ def load_model(path: Path) -> Any:
     )
 
 
-def statistics_beside(path: Path) -> Path | None:
-    """File with the statistics of ``VecNormalize`` of a model; None if there is none.
-
-    It is looked for where Stable-Baselines3's ``CheckpointCallback`` saves it, beside the model,
-    and in a folder with the name of the model. RL-Zoo has a single such folder for its best model
-    and its checkpoints.
-    """
-    if path.suffix != ".zip":
-        return None
-    candidates = [
-        folder / name for folder in (path.parent, path.with_suffix("")) for name in STATISTICS
-    ]
-    checkpoint = re.fullmatch(r"(.+)_(\d+)_steps", path.stem)
-    if checkpoint is not None:
-        candidates.insert(
-            0, path.parent / f"{checkpoint[1]}_vecnormalize_{checkpoint[2]}_steps.pkl"
-        )
-    if checkpoint is not None or path.stem == "best_model":
-        in_folders = sorted(path.parent.glob(f"*/{STATISTICS[0]}"))
-        if len(in_folders) == 1:
-            candidates += in_folders
-    return next((file for file in candidates if file.is_file()), None)
-
-
 def behind_wrappers(
-    policy: Policy, robot: Robot, subject: str, wrappers: Sequence[Wrapper], beside: Path | None
+    policy: Policy, robot: Robot, subject: str, wrappers: Sequence[Wrapper]
 ) -> Policy:
     """The policy behind its wrappers. A Stable-Baselines3 model is checked first.
 
     Its observation space tells whether it reads normalised observations. The statistics of a
-    ``VecNormalize`` are those of its training environment if it has one, else those of ``beside``,
-    unless the wrappers have one already.
+    ``VecNormalize`` are those of its training environment if it has one, unless the wrappers have
+    one already.
 
     Args:
         policy: the policy.
         robot: nominal robot.
         subject: subject of the sentence if the model does not fit, such as ``policy 'mine'``.
         wrappers: wrappers of the training, the innermost first.
-        beside: file with the statistics of a ``VecNormalize`` that was found; None if there is
-            none.
 
     Raises:
         ValueError: if a wrapper is invalid, or if the spaces of a model differ from those of the
@@ -104,24 +74,21 @@ def behind_wrappers(
     is_model = not packages.isdisjoint({"stable_baselines3", "sb3_contrib"})
     if not is_model and not wrappers:
         return policy
-    stack, note, normalised = Stack(wrappers, robot), "", False
+    stack = Stack(wrappers, robot)
+    normalised = False
     if is_model:
         model: Any = policy
         training = model.get_vec_normalize_env()
         if training is not None and not stack.normalises:
             stack = Stack([*wrappers, statistics("VecNormalize", pickle.dumps(training))], robot)
-            note = "its observations are normalised by the VecNormalize of its training environment"
-        elif beside is not None and not stack.normalises:
-            stack = Stack([*wrappers, beside], robot)
-            note = f"its observations are normalised by {beside.name!r}, which was found beside it"
         normalised = _check_spaces(model, subject, stack)
     names = stack.names
     if normalised:
         stack = stack.normalised()
         names = names and stack.names
     if stack.layers:
-        return WrappedPolicy(policy, stack, names, note)
-    return TransformedPolicy(policy, stack, names, note) if stack.transforms else policy
+        return WrappedPolicy(policy, stack, names)
+    return TransformedPolicy(policy, stack, names) if stack.transforms else policy
 
 
 def _algorithms(path: Path) -> list[Any]:
@@ -141,16 +108,9 @@ def _algorithms(path: Path) -> list[Any]:
                 f"policy file {str(path)!r} was saved by SBX: pip install sbx-rl"
             ) from None
     algorithms = _classes(sb3, SB3_ALGORITHMS)
-    try:
-        contributed = _classes(importlib.import_module("sb3_contrib"), CONTRIB_ALGORITHMS)
-    except ImportError:
-        if saved_by != "sb3_contrib":
-            return algorithms
-        remedy = "was saved by sb3-contrib: pip install 'cablebot-gym[sb3]'"
-        raise ValueError(f"policy file {str(path)!r} {remedy}") from None
-    if saved_by == "sb3_contrib":
-        return contributed + algorithms
-    return algorithms + contributed
+    with suppress(ImportError):
+        algorithms += _classes(importlib.import_module("sb3_contrib"), CONTRIB_ALGORITHMS)
+    return sorted(algorithms, key=lambda kind: not kind.__module__.startswith(saved_by))
 
 
 def _classes(package: Any, names: Sequence[str]) -> list[Any]:
@@ -188,60 +148,35 @@ def _check_spaces(model: Any, subject: str, stack: Stack) -> bool:
     elif equal_bounds < 1:
         equal_normalised = _agreement(inputs, stack.normalised().observation_space)
     normalised = equal_normalised >= equal_bounds and equal_bounds < 1
-    difference = ""
-    if not _fits(model, stack):
-        difference = f"the model reads {_size(inputs)} and returns {_size(outputs)}"
-        for env_id, name in () if stack.names else ENV_ROBOTS.items():
-            if _fits(model, Stack((), find_robot(name))):
-                difference += f", which fits {env_id}"
-                break
-    elif normalised and equal_normalised == equal_bounds:
-        lowest, highest = np.min(inputs.low), np.max(inputs.high)
-        difference = (
-            f"the model reads an observation that a wrapper rescaled to [{lowest:g}, {highest:g}]"
-        )
-    elif not np.array_equal(
-        [outputs.low, outputs.high], [stack.action_space.low, stack.action_space.high]
-    ):
-        difference = f"the model returns rescaled actions within [{np.min(outputs.low):g}, {np.max(outputs.high):g}]"
-    elif not stack.normalises and _exceeds(getattr(model, "_last_obs", None), inputs):
+    is_rescaled = normalised and equal_normalised == equal_bounds
+    offered = stack.observation_space
+    has_shape = type(inputs) is type(offered) and inputs.shape == offered.shape
+    is_returned = _agreement(outputs, stack.action_space) == 1
+    is_fitting = has_shape and not is_rescaled and is_returned
+    if is_fitting and not stack.normalises and _exceeds(getattr(model, "_last_obs", None), inputs):
         raise ValueError(
             f"{subject} was trained behind VecNormalize or a wrapper like it, because its last observation of the "
             "training exceeds its observation space. Add the statistics of VecNormalize: --wrapper FILE, or "
             "wrappers=[FILE] in Python"
         )
-    if not difference:
+    if is_fitting:
         return normalised
-    behind = f" Behind {', '.join(stack.names)} it has {_spaces(stack)}." if stack.names else ""
+    behind = ""
+    if stack.names:
+        behind = f" behind {', '.join(stack.names)}"
     raise ValueError(
-        f"{subject} does not fit robot {robot.name!r}: {difference}. The robot has {_spaces(Stack((), robot))}."
-        f"{behind} Name the wrappers of the training, the innermost first: --wrapper file.py:name and --wrapper "
-        "FILE, or wrappers=[…] in Python"
+        f"{subject} does not fit robot {robot.name!r}{behind}: the model reads {_text(inputs)} and returns "
+        f"{_text(outputs)}, not {_text(offered)} and {_text(stack.action_space)}. Name the wrappers of the training, "
+        "the innermost first: --wrapper file.py:name and --wrapper FILE, or wrappers=[…] in Python"
     )
 
 
-def _size(space: Any) -> str:
-    """A space in words, such as ``31 numbers``."""
-    return f"{'×'.join(map(str, space.shape))} numbers" if isinstance(space, Box) else str(space)
-
-
-def _spaces(stack: Stack) -> str:
-    actions = stack.action_space
-    reads = f"{'×'.join(map(str, stack.observation_space.shape or ()))} observed numbers"
-    if not isinstance(actions, Box):
-        return f"{reads} and actions {actions}"
-    low, high = np.min(actions.low), np.max(actions.high)
-    return f"{reads} and {'×'.join(map(str, actions.shape))} actions within [{low:g}, {high:g}]"
-
-
-def _fits(model: Any, stack: Stack) -> bool:
-    pairs = (
-        (model.observation_space, stack.observation_space),
-        (model.action_space, stack.action_space),
-    )
-    return all(
-        type(read) is type(offered) and read.shape == offered.shape for read, offered in pairs
-    )
+def _text(space: Any) -> str:
+    """A space in words, such as ``3 numbers within [-1, 1]``."""
+    if not isinstance(space, Box):
+        return str(space)
+    shape = "×".join(map(str, space.shape))
+    return f"{shape} numbers within [{np.min(space.low):g}, {np.max(space.high):g}]"
 
 
 def _agreement(space: Any, offered: Any) -> float:

@@ -30,9 +30,9 @@ from cablebot_gym.policies.protocol import (
     PolicyError,
     declarations,
     name_of,
-    say,
+    required_arguments,
 )
-from cablebot_gym.policies.sb3 import behind_wrappers, load_model, statistics_beside
+from cablebot_gym.policies.sb3 import behind_wrappers, load_model
 from cablebot_gym.policies.wrappers import Wrapper
 from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.utils.checks import unknown_name_error
@@ -214,9 +214,7 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
         name: the name.
         robot: nominal robot, its name, or an environment id.
         wrappers: wrappers of the training, the innermost first, see
-            :data:`~cablebot_gym.policies.wrappers.Wrapper`. The statistics of a ``VecNormalize``
-            beside a Stable-Baselines3 file are used without being named, and a note on standard
-            error says so.
+            :data:`~cablebot_gym.policies.wrappers.Wrapper`.
 
     Raises:
         ValueError: if the name or an option is unknown, or if the policy cannot be loaded or does
@@ -229,7 +227,7 @@ def load_policy(name: str, robot: Robot | str, *, wrappers: Sequence[Wrapper] = 
 def load(
     policy: Any, robot: Robot, *, name: str | None = None, wrappers: Sequence[Wrapper] = ()
 ) -> LoadedPolicy:
-    """Loads a policy, and says its notes. A policy that is loaded already is returned.
+    """Loads a policy. A policy that is loaded already is returned.
 
     Args:
         policy: a name as for :func:`load_policy`, a policy object, a callable, a class that makes a
@@ -254,12 +252,11 @@ def load(
         return replace(loaded, name=name or loaded.name)
     if isinstance(policy, str):
         spec = PolicySpec.parse(policy)
-        target, subject, beside = _make(spec, robot)
+        target, subject = _make(spec, robot)
         estimators = spec.estimators
         shipped = spec.shipped and not wrappers
     else:
         subject = f"policy {name or name_of(policy)!r}"
-        beside = None
         estimators = ()
         shipped = False
         if isinstance(policy, type):
@@ -268,7 +265,7 @@ def load(
             target = as_policy(policy)
     if wrappers and hasattr(target, "wrap"):
         raise ValueError(f"{subject} has wrappers: give all of them where it is loaded")
-    made = target = behind_wrappers(target, robot, subject, wrappers, beside)
+    made = target = behind_wrappers(target, robot, subject, wrappers)
     if estimators and hasattr(target, "wrap"):
         raise ValueError(
             f"{subject} acts in a wrapped environment, and estimator {estimators[0].name!r} takes "
@@ -277,32 +274,26 @@ def load(
     for estimator in reversed(estimators):
         made = estimator.load()(robot, made)
     name = name or name_of(policy)
-    note = getattr(target, "note", "")
-    if note:
-        say(name, note)
     return LoadedPolicy(
         policy=made,
         name=name,
         declarations=declarations(made),
         shipped=shipped,
         wrappers=tuple(getattr(target, "wrappers", ())),
-        note=note,
     )
 
 
-def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str, Path | None]:
-    """The target of a name without wrappers, the subject of messages, and a file of statistics
-    beside it."""
+def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str]:
+    """The target of a name without wrappers, and the subject of messages."""
     name, subject = spec.target, f"policy {spec.target!r}"
     entry = spec.entry()
     if entry is not None:
-        return _from_entry(entry, robot, spec.options), subject, None
+        return _from_entry(entry, robot, spec.options), subject
     if spec.kind == "file":
-        path = Path(name)
-        return _load_file(path, robot), f"policy file {name!r}", statistics_beside(path)
+        return _load_file(Path(name), robot), f"policy file {name!r}"
     if spec.kind == "factory":
         factory = _import_factory(name, subject)
-        return _call(factory, robot, subject), subject, None
+        return _call(factory, robot, subject), subject
     forms = (
         "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
     )
@@ -323,11 +314,7 @@ def _import_factory(name: str, subject: str) -> Callable[..., Any]:
         raise
     except BaseException as error:
         reason = error if isinstance(error, Exception) else raised(error)
-        cause = f"cannot import it ({reason})"
-        policy = name.partition(":")[0]
-        if policy in policy_names():
-            cause += f"; an option of the policy {policy!r} has the form {policy}:OPTION=VALUE"
-        raise _failure(error, subject, cause) from error
+        raise _failure(error, subject, f"cannot import it ({reason})") from error
     if isinstance(factory, PolicyEntry):
         return partial(_from_entry, factory)
     if isinstance(factory, Policy) and not isinstance(factory, type):
@@ -355,19 +342,11 @@ def _call(factory: Callable[..., Any], robot: Robot, subject: str) -> Policy:
 
 
 def _arguments(factory: Callable[..., Any], robot: Robot) -> list[Robot]:
-    try:
-        signature = inspect.signature(factory)
-    except ValueError:  # some callables of C have none
-        return [robot]
-    candidates: list[list[Robot]] = [[robot], []]
-    if isinstance(factory, type) and "robot" not in signature.parameters:
-        candidates.reverse()  # its first argument may be anything
-    for arguments in candidates:
-        with suppress(TypeError):
-            signature.bind(*arguments)
-            return arguments
-    remedy = f"def make(robot): return {name_of(factory)}(…)"
-    raise TypeError(f"it takes {signature}, but is called with the robot: {remedy}")
+    with suppress(ValueError):  # some callables of C have no signature
+        takes_robot = "robot" in inspect.signature(factory).parameters
+        if not takes_robot and not required_arguments(factory):
+            return []
+    return [robot]
 
 
 def _failure(error: BaseException, subject: str, cause: str) -> ValueError | PolicyError:
@@ -381,10 +360,7 @@ def _load_file(path: Path, robot: Robot) -> Policy:
     subject = f"policy file {str(path)!r}"
     if not path.is_file():
         raise ValueError(f"{subject} does not exist")
-    damaged: Any = True
-    with suppress(Exception), zipfile.ZipFile(path) as file:
-        damaged = file.testzip()
-    if damaged is not None:
+    if not zipfile.is_zipfile(path):
         raise ValueError(f"{subject} is not a zip file, or it is damaged: save or copy it again")
     for point in entry_points(group=FILE_ENTRY_POINT_GROUP):
         try:

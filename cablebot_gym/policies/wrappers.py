@@ -39,9 +39,6 @@ SINGLE = "single environment"
 VEC_ENV = "VecEnv"
 """Forms of wrappers."""
 
-_FORMS = {"VectorWrapper": VECTOR, "Wrapper": SINGLE, "VecEnvWrapper": VEC_ENV}
-"""Forms of classes, by the name of a base."""
-
 
 class PolicyEnv(VectorEnv[Any, Any, Any]):
     """The environment inside the wrappers of a policy. Rewards are 0, info is empty and no episode
@@ -243,10 +240,6 @@ class Layer:
             )
         if isinstance(function, Transform):
             return cls(name, function, (VECTOR,))
-        bases = [kind.__name__ for kind in getattr(function, "__mro__", ())]
-        for base, form in _FORMS.items():
-            if base in bases:
-                return cls(name, function, (form,))
         return cls(name, function)
 
     def wrap(self, env: Any, innermost: PolicyEnv) -> Any:

@@ -20,7 +20,6 @@ from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import (
     best_known_text,
     failures,
-    fallbacks,
     heading,
     motion_title,
     task_title,
@@ -337,7 +336,7 @@ def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, An
     notes = [
         {"title": "Commands", "lines": commands},
         {"title": "Best known payloads", "lines": references or ["none in these results"]},
-        {"title": "Notes", "lines": [*failures(rows), *fallbacks(rows)]},
+        {"title": "Notes", "lines": failures(rows)},
     ]
     return [note for note in notes if note["lines"]]
 

@@ -18,9 +18,6 @@ LARGEST_TEXT = 64 << 20
 LARGEST_FILE = 1 << 30
 """Largest size of any file [bytes]."""
 
-DIGITS = 40
-"""Largest number of characters of an integer: seeds have 128 bits."""
-
 _SHOWN = 100
 """Number of characters of wrong data that messages repeat."""
 
@@ -69,7 +66,7 @@ def foreign_json(text: str) -> Any:
     Raises:
         ValueError: if the text is no such JSON.
     """
-    parse = partial(json.loads, parse_int=_integer, parse_float=_finite, parse_constant=_finite)
+    parse = partial(json.loads, parse_float=_finite, parse_constant=_finite)
     return _parsed("JSON", parse, text)
 
 
@@ -89,16 +86,10 @@ def _parsed(form: str, parse: Callable[[str], Any], text: str) -> Any:
         raise ValueError(f"{form} with too many levels") from None
 
 
-def _integer(text: str) -> int:
-    if len(text) > DIGITS:
-        raise ValueError(f"an integer has {len(text)} digits; at most {DIGITS} are valid")
-    return int(text)
-
-
 def _finite(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"the number {text[:DIGITS]} is not finite")
+        raise ValueError(f"the number {text[:_SHOWN]} is not finite")
     return value
 
 

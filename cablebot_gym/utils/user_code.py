@@ -4,7 +4,6 @@ the line."""
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from traceback import FrameSummary, extract_tb
 
@@ -14,6 +13,9 @@ LONGEST_MESSAGE = 1000
 _LIBRARY = str(Path(os.__file__).parent) + os.sep
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 """Code that messages do not name, in addition to installed packages."""
+
+_OWN = {"cablebot_baselines", "cablebot_winches", "cablebot_reproduction"}
+"""Folders of the other packages of this project."""
 
 _SENTENCE = "_cablebot_sentence"
 """Attribute of an error that came from another process, which has no traceback here."""
@@ -41,18 +43,9 @@ def raised(error: BaseException, verb: str = "it raised", where: str = "") -> st
 def sentence_of_user_code(error: BaseException) -> str:
     """The error as one sentence if it passed through code that is neither installed nor of this
     project, else empty."""
-    if any(not frame.filename.startswith(_project_folders()) for frame in _frames(error)):
+    if any(_OWN.isdisjoint(Path(frame.filename).parts) for frame in _frames(error)):
         return raised(error, "your code raised")
     return str(getattr(error, _SENTENCE, ""))
-
-
-def _project_folders() -> tuple[str, ...]:
-    """Folders of the other packages of this project, whose names start as that of this one."""
-    folders = []
-    for name, module in list(sys.modules.items()):
-        if name.startswith("cablebot_") and "." not in name:
-            folders += [str(path) + os.sep for path in getattr(module, "__path__", [])]
-    return tuple(folders)
 
 
 def keep_sentence(error: BaseException, sentence: str) -> None:

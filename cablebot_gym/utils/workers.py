@@ -1,18 +1,16 @@
 """Computations in worker processes.
 
-Each computation runs once, repeated log messages appear once, and no process outlives its iterator.
+No process outlives its iterator.
 """
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import pickle
 import signal
-import sys
 import traceback
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -20,24 +18,11 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any, TypeVar, cast
 
-try:
-    import resource
-except ImportError:  # Windows
-    resource = None  # type: ignore[assignment]
-
 from cablebot_gym.utils.user_code import keep_sentence, sentence_of_user_code
 
 Task = TypeVar("Task", bound=Callable[[], Any])
 """A computation. For workers it must be picklable: a module-level function or a
 ``functools.partial`` of one."""
-
-ATTEMPTS = 2
-"""Number of times that a computation is started if its process dies."""
-
-
-LARGEST_MEMORY = 3e9
-"""Memory [bytes] above which a process is replaced after its computation. Compiled code and solvers
-stay in a process, and so does the memory of the largest computation."""
 
 GRACE = 5.0
 """Longest time from the end of a process's pipe to its own end, on a busy machine too [s]."""
@@ -70,32 +55,23 @@ def run(
     tasks: Mapping[str, Task],
     *,
     workers: int,
-    say: Callable[[str], None],
-    returned: tuple[type[Exception], ...] = (),
 ) -> Iterator[tuple[str, Any]]:
-    """Yields keys and results in the order of completion. Closing the iterator or an interrupt ends
-    the processes.
-
-    A computation whose process dies is repeated in a new process, at most :data:`ATTEMPTS` times in
-    total.
+    """Yields keys and results in the order of completion, a :class:`WorkerDied` in place of a lost
+    one. Other exceptions are raised. Closing the iterator or an interrupt ends the processes.
 
     Args:
         tasks: computations by key. With ``workers`` = 1 they run one after the other in this
             process.
         workers: number of processes.
-        say: called with each message that workers log to ``cablebot_gym``; repeated messages are
-            dropped.
-        returned: exception types that are yielded in place of a result, such as
-            :class:`WorkerDied`. Other exceptions are raised.
     """
     results = _sequential
     if workers > 1 and tasks:
-        results = _Pool(min(workers, len(tasks)), say).results
+        results = _Pool(min(workers, len(tasks))).results
     # The loop alone refers to the iterator, which therefore ends the processes at any error.
     for key, failure, result in results(tasks):
         if failure is None:
             yield key, result
-        elif isinstance(failure, returned):
+        elif isinstance(failure, WorkerDied):
             yield key, failure
         else:
             raise failure
@@ -130,8 +106,6 @@ class _Worker:
         self.process.start()
         remote.close()  # the pipe then closes when the process ends
         self.key: str | None = None
-        self.memory = 0
-        """Largest memory of the process until its last result [bytes]."""
 
     def submit(self, key: str, task: Callable[[], Any]) -> None:
         self.key = key
@@ -147,16 +121,13 @@ class _Worker:
 class _Pool:
     """Processes that share computations, in their order."""
 
-    def __init__(self, size: int, say: Callable[[str], None]) -> None:
+    def __init__(self, size: int) -> None:
         self._size = size
-        self._say = say
-        self._reported: set[str] = set()
         self._workers: list[_Worker] = []
 
     def results(self, tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
         """Key, error and result of each computation in the order of completion."""
         queue = deque(tasks)
-        deaths = Counter[str]()
 
         def submit_next(worker: _Worker) -> None:
             worker.key = None
@@ -177,41 +148,23 @@ class _Pool:
                     key = worker.key or ""
                     outcome = self._receive(worker)
                     if isinstance(outcome, WorkerDied):
-                        deaths[key] += 1
                         worker = self._replaced(worker)
-                        if deaths[key] < ATTEMPTS:
-                            worker.submit(key, tasks[key])
-                            continue
                         outcome = (outcome, None)
-                    if outcome is not None:
-                        if worker.memory > LARGEST_MEMORY:
-                            worker.end()
-                            worker = self._replaced(worker)
-                        submit_next(worker)  # before the yield: the caller may be slow
-                        yield key, *outcome
+                    submit_next(worker)  # before the yield: the caller may be slow
+                    yield key, *outcome
         finally:
             for worker in self._workers:
                 worker.end()
 
-    def _receive(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied | None:
-        """Error and result, a :class:`WorkerDied` if the process died, or None after a log
-        message."""
+    def _receive(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied:
+        """Error and result, or a :class:`WorkerDied` if the process died."""
         try:
-            kind, content, worker.memory = worker.pipe.recv()
+            outcome: tuple[Exception | None, Any] = worker.pipe.recv()
         except (EOFError, OSError):
             worker.process.join(GRACE)  # the pipe closes shortly before the process ends
             worker.end()
-            return WorkerDied(
-                f"its process died {ATTEMPTS} times, with exit status {worker.process.exitcode}"
-            )
-        if kind == "log":
-            if content not in self._reported:
-                self._reported.add(content)
-                self._say(content)
-            return None
-        if kind == "error":
-            return content, None
-        return None, content
+            return WorkerDied(f"its process died, with exit status {worker.process.exitcode}")
+        return outcome
 
     def _replaced(self, ended: _Worker) -> _Worker:
         with _interrupts_deferred():
@@ -237,9 +190,6 @@ def _interrupts_deferred() -> Iterator[None]:
 def _serve(pipe: Connection) -> None:
     """Main loop of a worker: runs one computation after the other until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    logger = logging.getLogger("cablebot_gym")
-    logger.addHandler(_PipeHandler(pipe))
-    logger.propagate = False
     with suppress(BrokenPipeError):  # the parent process is gone
         while True:
             try:
@@ -248,21 +198,13 @@ def _serve(pipe: Connection) -> None:
                 return
             failure, reply = _outcome(partial(_pickled_result, data))
             if failure is not None:
-                reply = pickle.dumps(("error", _portable(failure), _memory()))
+                reply = pickle.dumps((_portable(failure), None))
             pipe.send_bytes(reply)
 
 
 def _pickled_result(data: bytes) -> bytes:
     """Result of a pickled computation, pickled."""
-    return pickle.dumps(("result", pickle.loads(data)(), _memory()))
-
-
-def _memory() -> int:
-    """Largest memory of this process until now [bytes]; 0 where the system does not say."""
-    if resource is None:
-        return 0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else 1024 * peak
+    return pickle.dumps((None, pickle.loads(data)()))
 
 
 def _portable(error: Exception) -> Exception:
@@ -278,14 +220,3 @@ def _portable(error: Exception) -> Exception:
     keep_sentence(portable, sentence_of_user_code(error))
     portable.add_note("".join(traceback.format_exception(error)))
     return portable
-
-
-class _PipeHandler(logging.Handler):
-    """Sends the log messages of a worker to the parent process."""
-
-    def __init__(self, pipe: Connection) -> None:
-        super().__init__()
-        self._pipe = pipe
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._pipe.send(("log", record.getMessage(), 0))

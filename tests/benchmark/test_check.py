@@ -68,7 +68,7 @@ def test_rows_of_an_uninstalled_policy_are_named_and_pass_the_check(honest):
 def computing(payload):
     """A backend that computes the same payload for every row."""
 
-    def backend(jobs, say, returned):
+    def backend(jobs):
         for key, job in jobs.items():
             ((row,),) = job.args
             yield key, [answer(row, payload)]
@@ -77,7 +77,7 @@ def computing(payload):
 
 
 def test_random_rows_have_best_known_payloads_among_them(honest):
-    rows = list(recompute(honest.rows, 5, computing(1.0), say=print))
+    rows = list(recompute(honest.rows, 5, computing(1.0)))
     measures = [row.stored.measure for row in rows]
     assert measures.count("best-known") == 1
     assert measures.count("payload") == 4
@@ -87,6 +87,6 @@ def test_random_rows_have_best_known_payloads_among_them(honest):
 @pytest.mark.parametrize(("payload", "is_equal"), [(1.009, True), (1.02, False), (None, False)])
 def test_payload_may_differ_by_its_resolution(honest, payload, is_equal):
     policies = [row for row in honest.rows if row.policy]
-    rows = list(recompute(policies, 2, computing(payload), say=print))
+    rows = list(recompute(policies, 2, computing(payload)))
     assert [row.is_equal for row in rows] == [is_equal] * 2
     assert str(rows[0]).startswith("equal" if is_equal else "DIFFERENT")

@@ -98,13 +98,13 @@ def run(store, outcomes=None, rows=(ROW, OTHER), progress=lambda *step: None):
     computation."""
     computed = []
 
-    def backend(jobs, say, returned):
+    def backend(jobs):
         for key, job in jobs.items():
             (group,) = job.args
             computed.extend(group)
             yield key, (outcomes or {}).get(group[0].policy, [answer(row) for row in group])
 
-    run_rows(rows, store, backend, progress, print)
+    run_rows(rows, store, backend, progress)
     return computed
 
 

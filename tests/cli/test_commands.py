@@ -20,8 +20,20 @@ SPATIAL = "CableBot-Spatial-v0"
 POLICY = "--policy fl"
 README = (Path(__file__).parents[2] / "README.md").read_text()
 
+
+def named_commands(group, prefix=""):
+    """The commands of a group and of the groups in it, by what is typed."""
+    commands = {}
+    for name, command in group.commands.items():
+        if hasattr(command, "commands"):
+            commands |= named_commands(command, f"{prefix}{name} ")
+        else:
+            commands[prefix + name] = command
+    return commands
+
+
 cli.add_commands(cli.command_points())
-COMMANDS = cli.named_commands(typer.main.get_command(cli.app))
+COMMANDS = named_commands(typer.main.get_command(cli.app))
 
 
 def parse(line):

@@ -192,8 +192,8 @@ def test_interval_of_a_reduction_is_scipys_bootstrap():
 @pytest.mark.parametrize(
     ("policies", "payload", "message"),
     [
-        ([], 0.0, "give at least one policy"),
-        (["fl", "fl"], 0.0, "every policy needs its own name"),
+        ([], 0.0, "policies must be a list, such as"),
+        (["fl", "fl"], 0.0, "policies need distinct names, not fl, fl"),
         (["fl"], math.nan, "payload must be a finite number at least 0"),
     ],
 )

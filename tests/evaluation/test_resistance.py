@@ -52,21 +52,18 @@ class FailsAlone(Law):
 @pytest.mark.parametrize("uncertainty", [None, "sensors"])
 def test_random_policy_must_not_need_other_episodes(uncertainty):
     with pytest.raises(
-        PolicyError, match=r"depends on the other.* in 0 of 1 draws alone, in 60 of 60 together"
+        PolicyError, match=r"depends on the other.* in 0 of \d+ draws alone, in 60 of 60 together"
     ):
         evaluated(FailsAlone(-1.0), uncertainty=uncertainty, draws=60)
 
 
 @pytest.mark.landing
-@pytest.mark.parametrize("uncertainty", [None, "sensors"])
-def test_stochastic_policy_gets_the_payload_that_it_carries_alone(batches, uncertainty):
-    motion = HANG | {"duration": 0.3}
-    result = evaluated(FailsAlone(1.0), uncertainty=uncertainty, draws=60, trajectory=motion)
+def test_stochastic_policy_is_tried_in_more_draws_alone(batches):
+    result = evaluated(FailsAlone(20.0), draws=60)
     assert "stochastic policy" in str(result)
     assert str(result).endswith("(95/95 lower tolerance bound, 60 draws)")
-    assert 0.5 < result.payload <= 1.0 < result.failed_payload
-    assert sum(len(seeds) == 1 for seeds in batches) > STOCHASTIC_ALONE == 59
-    assert result.details.violation_seed not in result.draw_seeds
+    needed_draws = plausible_successes(60, 60, STOCHASTIC_ALONE, RISK)
+    assert sum(len(seeds) == 1 for seeds in batches) == needed_draws > ALONE
 
 
 CARRIED = verdict_of()

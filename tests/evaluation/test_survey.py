@@ -6,7 +6,6 @@ from evaluation.conftest import Dropping, Law, verdict_of
 
 from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym import evaluate_dlcc, find_robot, find_trajectory
-from cablebot_gym.evaluation import survey as survey_module
 from cablebot_gym.evaluation.batch import Batch
 from cablebot_gym.evaluation.judge import Violation
 from cablebot_gym.evaluation.survey import motion_seeds, survey
@@ -95,21 +94,15 @@ def test_policy_that_needs_other_rows_is_refused():
 
 
 @pytest.mark.landing
-def test_stochastic_policy_has_the_payload_that_it_carries_alone(monkeypatch):
-    monkeypatch.setattr(survey_module, "STOCHASTIC_ALONE", 4)
+def test_stochastic_policy_that_needs_other_rows_is_refused():
+    noisy = {"robots": 8, "uncertainty": "sensors"}
     policy = FeedbackLinearization(find_robot("planar"))
     policy.stochastic = True
-    together = survey("fl", PLANAR, MOTIONS).payloads
-    honest = Batch.run
-
-    def heavier_alone(self, rows, **keywords):
-        if len(rows) == 1:
-            rows = [row._replace(payload=1.05 * row.payload) for row in rows]
-        return honest(self, rows, **keywords)
-
-    monkeypatch.setattr(Batch, "run", heavier_alone)
-    alone = survey(policy, PLANAR, MOTIONS).payloads
-    assert alone / together == pytest.approx(0.98**3, abs=0.02)
+    assert survey(policy, PLANAR, MOTIONS, **noisy).stochastic
+    policy = SharesRows(find_robot("planar"))
+    policy.stochastic = True
+    with pytest.raises(PolicyError, match="depends on the other episodes of its batch"):
+        survey(policy, PLANAR, MOTIONS, **noisy)
 
 
 @pytest.mark.parametrize(

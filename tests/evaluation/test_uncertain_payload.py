@@ -15,8 +15,6 @@ from cablebot_baselines.laws import FeedbackLinearization
 from cablebot_gym.evaluation import DLCCMonitor, Violation, evaluate_dlcc
 from cablebot_gym.evaluation import batch as batch_module
 from cablebot_gym.evaluation.batch import Trial, noise_seed
-from cablebot_gym.evaluation.motion_search import SCAN_POINTS
-from cablebot_gym.evaluation.search import SEARCH_DRAWS
 from cablebot_gym.evaluation.statistics import fewest_draws, plausible_successes, required_successes
 from cablebot_gym.robots import SPATIAL
 
@@ -91,9 +89,6 @@ def test_payload_is_an_order_statistic_of_the_draws(draws, probability, required
     assert list(result.draw_seeds) == draw_seeds(3, draws)
     assert result.assured == (draws == 80)
     assert sum(result.details.failures.values()) == draws - required + 1
-    for payload, fraction in result.details.success:
-        assert 0 <= payload <= 20
-        assert fraction * SEARCH_DRAWS == round(fraction * SEARCH_DRAWS)
 
 
 def exact_low(carried, draws, confidence):
@@ -176,9 +171,6 @@ def test_failures_are_those_of_single_episodes():
     assert result.details.failures == Counter(violation.kind for violation in violations)
     draw = result.draw_seeds.index(result.details.violation_seed)
     assert above[draw].violation.time == result.violation.time
-    payloads = [payload for payload, _ in result.details.success]
-    assert payloads == sorted(payloads)
-    assert (len(payloads), payloads[0], payloads[-1]) == (SCAN_POINTS, 0, 8)
 
 
 @pytest.mark.landing

@@ -18,7 +18,6 @@ from clock import HANG, Clock, wait_until
 from cablebot_gym.isolation import IsolatedPolicy, process
 from cablebot_gym.isolation.process import DeadlineError, PolicyProcess, processor_time
 from cablebot_gym.isolation.server import ANSWER
-from cablebot_gym.policies.protocol import say
 from cablebot_gym.robots import SPATIAL
 
 MODULE = """
@@ -184,11 +183,6 @@ def test_process_behind_bubblewrap_writes_no_file_and_has_no_network(spec, env):
     with IsolatedPolicy("writes.py:Writes", SPATIAL) as policy:
         policy.reset(env.tasks)
     assert not Path("left").exists()
-
-
-def test_note_is_short_and_names_its_policy(caplog, tmp_path):
-    say("mine", "x" * 1000)
-    assert f"note of policy 'mine': {'x' * 200}\n" in caplog.text
 
 
 def test_policy_that_cannot_be_loaded_gives_the_usual_error(spec):

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from cablebot_gym.bounds.robot_check import check_model
 from cablebot_gym.envs import fitting_env_id
@@ -100,27 +100,6 @@ def test_limits_are_those_of_the_true_motors():
     assert_allclose((upper.get_ydata() - lower.get_ydata()) / 2, 1.5 * PLANAR.stall_torque[0])
 
 
-def test_success_curve_has_fractions_and_the_payload(results, tmp_path):
-    motion = {"name": "dwell-spatial", "duration": 0.05}
-    options = {
-        "uncertainty": "table6",
-        "draws": 60,
-        "probability": 0.3,
-        "trajectory": motion,
-        **SMALL,
-    }
-    drawn = evaluate_dlcc("fl", SPATIAL_ID, **options)
-    lines = {line.get_label(): line for line in figures.draw_success(drawn).axes[0].get_lines()}
-    assert_array_equal(
-        lines["fraction of the scan's draws that carry it"].get_xydata(), drawn.details.success
-    )
-    assert lines["required: 30%"].get_ydata()[0] == 0.3
-    label = f"payload: {drawn.payload:.2f} kg (30/95 lower tolerance bound, 60 draws)"
-    assert lines[label].get_xdata()[0] == drawn.payload
-    with pytest.raises(ValueError, match="several draws"):
-        figures.draw_success(results["spatial"])
-
-
 @pytest.mark.landing
 def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.pyplot", None)
@@ -128,11 +107,11 @@ def test_files_of_both_criteria_without_pyplot(results, tmp_path, monkeypatch):
     odd_name = dataclasses.replace(
         results["violent"], policy="runs/$a_{/" + "long/" * 30 + "model_$.zip"
     )
-    task = figures.save_figures(odd_name, folder)
-    paper = figures.save_figures(results["planar"], str(folder))
-    assert [path.name for path in task + paper] == ["result-task.png", "result-paper.png"]
-    assert sorted(folder.iterdir()) == sorted(task + paper)
-    for path in task + paper:
+    task = figures.save_result(odd_name, folder)
+    paper = figures.save_result(results["planar"], str(folder))
+    assert [task.name, paper.name] == ["result-task.png", "result-paper.png"]
+    assert sorted(folder.iterdir()) == sorted([task, paper])
+    for path in (task, paper):
         assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
 
 

@@ -170,7 +170,7 @@ def test_isolated_wrappers_give_the_same_payload(tmp_path, monkeypatch):
         evaluate_dlcc("fl", PLANAR_ID, wrappers=inline, **FEW) for inline in ([], names[1:])
     )
     assert isolated.payload == behind.payload != alone.payload
-    assert isolated.to_dict()["wrappers"] == names
+    assert isolated.to_dict()["wrappers"] == tuple(names)
     with pytest.raises(ValueError, match="takes the names of its wrappers"):
         IsolatedPolicy("fl", PLANAR_ID, wrappers=[Fails])
 

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from cablebot_gym.cli.options import (
-    TASK,
-    ConditionOptions,
     Payload,
     PolicyName,
+    TaskOptions,
     fitting_id,
     robot_of,
 )
@@ -90,7 +89,7 @@ def drive(
     *,
     policy: PolicyName,
     winches: WinchOptions,
-    conditions: Annotated[ConditionOptions, TASK],
+    conditions: TaskOptions,
     payload: Payload = None,
     payload_known: Annotated[
         bool,
@@ -155,7 +154,7 @@ def drive(
 
 @contextmanager
 def _open_channels(
-    robot: Robot, options: WinchOptions, conditions: ConditionOptions, payload: float
+    robot: Robot, options: WinchOptions, conditions: TaskOptions, payload: float
 ) -> Iterator[tuple[Sequence[Winch], Mapping[str, Channel]]]:
     """The winches and the open channels by port, to real or simulated boards."""
     from cablebot_gym.envs.settings import default_trajectory
