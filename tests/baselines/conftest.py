@@ -1,6 +1,10 @@
-"""Fixtures of the tests with torch."""
+"""Fixtures of the tests of policies."""
+
+from unittest.mock import Mock
 
 import pytest
+
+from cablebot_gym.planning import Infeasible
 
 
 @pytest.fixture(scope="module")
@@ -10,3 +14,11 @@ def one_thread():
 
     with training.one_thread():
         yield
+
+
+@pytest.fixture
+def exact_plans_only(monkeypatch):
+    """Rehearsals of a plan take seconds of each motion."""
+    from cablebot_baselines.planners.rehearsed import Planner
+
+    monkeypatch.setattr(Planner, "rehearsed", Mock(side_effect=Infeasible("not tried")))

@@ -12,7 +12,8 @@ from cablebot_gym.policies import policy_entries
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
-LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", "trajopt")
+PLANNERS = ("trajopt", "learned-plan", "refined-plan")
+LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", *PLANNERS)
 """Policies that estimate or plan, and those with the short physics steps of joint springs."""
 
 
@@ -20,7 +21,7 @@ def cases():
     """Each policy in each of its environments. The motions of real robots are long; plans, which
     take minutes, are tried in one environment."""
     for entry in ENTRIES:
-        for env_id in entry.env_ids[:1] if entry.name == "trajopt" else entry.env_ids:
+        for env_id in entry.env_ids[:1] if entry.name in PLANNERS[::2] else entry.env_ids:
             if env_id not in PAPER_ENV_IDS:
                 marks = [pytest.mark.nightly]
             elif entry.name in LARGE:
@@ -42,7 +43,7 @@ def test_platform_is_carried_in_all_environments(name, env_id):
 @pytest.mark.parametrize(
     # Policies that plan rehearse on such robots themselves.
     "entry",
-    [entry for entry in ENTRIES if entry.kind != "learned" and entry.name != "trajopt"],
+    [entry for entry in ENTRIES if entry.kind == "classical" or entry.name == "nmpc"],
     ids=lambda entry: entry.name,
 )
 def test_only_laws_for_a_known_robot_fail_unloaded_on_others(entry):

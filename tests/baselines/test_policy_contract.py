@@ -1,24 +1,20 @@
 """What all shipped policies have in common: actions of a batch and of an episode alone, memory, and
 refused robots."""
 
-from unittest.mock import Mock
-
 import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from oracles.episodes import ROBOTS
 
-from cablebot_baselines.planners import trajopt
 from cablebot_gym import ENV_IDS
 from cablebot_gym.envs import fitting_env_id
-from cablebot_gym.planning import Infeasible
 from cablebot_gym.policies import load_policy, policy_entries
 from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries()
 
-PLANNER = "trajopt"
+PLANNERS = ("trajopt", "learned-plan", "refined-plan")
 """Policy that takes seconds to minutes at the start of a loop."""
 
 CASES = [
@@ -27,10 +23,10 @@ CASES = [
             name, env_id, marks=pytest.mark.landing if name in ("nmpc", "observing") else ()
         )
         for name, entry in ENTRIES.items()
-        if name != PLANNER
+        if name not in PLANNERS
         for env_id in entry.env_ids
     ),
-    pytest.param(PLANNER, "CableBot-Planar-v0", marks=pytest.mark.landing),
+    *(pytest.param(name, "CableBot-Planar-v0", marks=pytest.mark.landing) for name in PLANNERS),
     ("fl:gains=tuned", "CableBot-Planar-v0"),
     ("composite:gains=paper", "CableBot-FlexSpatial-v0"),
 ]
@@ -45,7 +41,7 @@ class Episode:
     def __init__(self, name, env_id, motion, payload):
         kind = ROBOTS[env_id].kind
         trajectory = {"name": f"loop-{kind}", "seed": motion, "dwell": 0.0}
-        if name == PLANNER:
+        if name in PLANNERS:
             trajectory = {"name": "line-planar", "duration": 0.4 + motion / 50, "dwell": 0.0}
         self.env = gym.make(env_id, trajectory=trajectory, payload=payload)
         self.task = self.env.unwrapped.task
@@ -60,12 +56,6 @@ class Episode:
     def act(self):
         action, self.state = self.policy.predict(self.observation, self.state)
         return action
-
-
-@pytest.fixture
-def exact_plans_only(monkeypatch):
-    """Rehearsals of a plan take seconds of each motion."""
-    monkeypatch.setattr(trajopt, "find_rehearsed_plan", Mock(side_effect=Infeasible("not tried")))
 
 
 @pytest.mark.usefixtures("exact_plans_only")
@@ -101,7 +91,7 @@ def test_row_of_a_batch_acts_as_an_episode_alone(name, env_id):
     assert np.ptp(actions, axis=1).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["nmpc", "observing", "trajopt"])
+@pytest.mark.parametrize("name", ["nmpc", "observing", *PLANNERS])
 def test_policy_for_the_motions_of_its_tasks_raises_before_reset(name):
     observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
     with pytest.raises(RuntimeError, match=r"call reset\(tasks\) before predict\(\)"):

@@ -10,7 +10,7 @@ from driving import drive, keeps_limits
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.planners import trajopt as module
+from cablebot_baselines.planners.rehearsed import Planner
 from cablebot_baselines.planners.trajopt import TrajOpt, exact_margins
 from cablebot_gym.evaluation import evaluate_dlcc
 from cablebot_gym.physics.textbook import allocated_minimum
@@ -33,12 +33,6 @@ def carried(policy, env_id, payload, known, **keywords):
         env_id, num_envs=len(payload), payload=payload, payload_known=known, **keywords
     )
     return np.all([keeps_limits(step.info) for step in drive(policy, env)], axis=0).tolist()
-
-
-@pytest.fixture
-def exact_plans_only(monkeypatch):
-    """Rehearsals take seconds of each motion."""
-    monkeypatch.setattr(module, "find_rehearsed_plan", Mock(side_effect=Infeasible("not tried")))
 
 
 # --- payload ----------------------------------------------------------------------------------------------------------
@@ -108,17 +102,16 @@ def test_rehearsed_plan_serves_robots_that_are_not_exactly_known():
 
 
 @pytest.mark.usefixtures("exact_plans_only")
-def test_infeasible_plan_is_tried_once(monkeypatch, caplog):
-    planner = Mock(side_effect=Infeasible("Restoration_Failed"))
-    monkeypatch.setattr(module, "plan_motion", planner)
-    policy = TrajOpt(PLANAR)
+def test_infeasible_plan_is_tried_once(caplog):
+    first = Mock(side_effect=Infeasible("Restoration_Failed"))
+    policy = TrajOpt(PLANAR, Planner(name="mine", first=first, module=__name__))
     with caplog.at_level(logging.WARNING, "cablebot_gym"):
         assert carried(policy, PLANAR_ID, np.array([1.5, 1.0]), [True, True]) == [True, True]
     assert policy.fallbacks == 2
-    assert "trajopt tracks trajectory 'circle-planar' without a plan in 2 episodes" in caplog.text
+    assert "mine tracks trajectory 'circle-planar' without a plan in 2 episodes" in caplog.text
     policy.reset([gym.make(PLANAR_ID).unwrapped.task])
     assert policy.fallbacks == 1
-    planner.assert_called_once()
+    first.assert_called_once()
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

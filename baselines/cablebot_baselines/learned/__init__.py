@@ -22,3 +22,18 @@ def load_bundle(path: str | Path, robot: Robot) -> Policy | None:
     if not is_bundle(path):
         return None
     return LearnedPolicy(Bundle.load(path), robot)
+
+
+def load_plan(path: str | Path, robot: Robot) -> Policy | None:
+    """Loads a policy from the network of a ``train-plan`` run for a nominal robot; returns None if the
+    file is not ``….pt``.
+
+    Raises:
+        ImportError: if torch is missing; the message names the command that installs it.
+        ValueError: if the file cannot be read.
+    """
+    if Path(path).suffix != ".pt":
+        return None
+    from cablebot_baselines.learned.learned_plan import learned_plan
+
+    return learned_plan(robot, Path(path))

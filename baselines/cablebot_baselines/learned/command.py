@@ -83,3 +83,23 @@ def _evaluation(text: str) -> dict[str, Any]:
         raise ValueError(
             f'--evaluation must be a JSON object, {{"keyword": value}}: {error}'
         ) from error
+
+
+def train_plan(
+    env_id: Annotated[
+        str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Planar-v0.")
+    ],
+    out: Annotated[Path, "Folder of the run: weights, checkpoint, learning curve."],
+    steps: Annotated[int, "Number of training steps in all."] = 8000,
+    seed: Annotated[int, "Seed of weights and batches."] = 0,
+) -> None:
+    """Train a network that plans motions, and write it to plan.pt.
+
+    Ctrl-C keeps the last checkpoint; the same line continues from it.
+
+    Example: cablebot train-plan CableBot-Planar-v0 --out runs/plan
+    """
+    from cablebot_baselines.learned.plan_training import train_plans
+
+    with progress("training", "steps") as step:
+        train_plans(env_id, out=out, steps=steps, seed=seed, progress=step)

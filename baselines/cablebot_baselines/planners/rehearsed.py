@@ -4,8 +4,9 @@ payload."""
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline
@@ -73,15 +74,11 @@ SPRING_RATE = 100.0
 LIGHTEST = 2.0
 """How many standard deviations the lightest platform of a plan is below the expected one."""
 
-FRACTIONS = (0.0, 0.5, 0.94, 0.97, 1.0, 1.02, 1.04)
-"""Rehearsed payloads as fractions of that of the plan. Saturated actions violate no limit, so robots
-may carry more than planned."""
+FRACTIONS = (0.0, 0.94, 1.0)
+"""Rehearsed payloads as fractions of that of the plan."""
 
-ROUNDS = 4
+ROUNDS = 3
 """Largest number of plans after the first one."""
-
-BOLDER = 0.6
-"""Factor of the action margins after a rehearsal in which all robots carry the planned payload."""
 
 
 def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
@@ -90,27 +87,82 @@ def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
     return min(max(MINIMUM_INTERVALS, count), MAXIMUM_INTERVALS)
 
 
-def find_rehearsed_plan(task: Task, uncertainty: Uncertainty) -> PlannedMotion:
-    """The cached plan that carries most on the random robots of an uncertainty.
+class Program(Protocol):
+    """Plans the same motion again, with other margins."""
 
-    Args:
-        task: the task. The payload is taken as unknown.
-        uncertainty: the uncertainty.
+    def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
+        """The plan with constant margins and margins over time in addition.
+
+        Raises:
+            Infeasible: if there is none.
+        """
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planner:
+    """How plans are made."""
+
+    name: str
+    """Name of the policy."""
+    first: Callable[[Robot, Task, Margins, float], tuple[Program, PlannedMotion]]
+    """Makes the program of a robot and a task, and its plan with some margins, which is feasible from
+    a lightest payload [kg] to its own."""
+    module: str
+    """Module of ``first``; a change of its code makes cached plans again."""
+    key: str = ""
+    """Further data on which the plans depend, such as the hash of weights."""
+
+    def cached(self, task: Task, make: Callable[[], PlannedMotion], **more: Any) -> PlannedMotion:
+        """The cached plan of a task, which also depends on ``more``."""
+        return cached_plan(
+            self.module,
+            task.robot,
+            task.trajectory,
+            make,
+            error_bounds=task.error_bounds,
+            control_frequency=task.control_frequency,
+            cable=task.cable,
+            key=self.key,
+            **more,
+        )
+
+    def rehearsed(self, task: Task, uncertainty: Uncertainty) -> PlannedMotion:
+        """The plan that carries most on the random robots of an uncertainty, with unknown payload.
+
+        Raises:
+            Infeasible: as :meth:`PlanSearch.find`.
+        """
+        search = PlanSearch(
+            self, replace(task, payload_known=False, model_payload=0.0), uncertainty
+        )
+        return self.cached(task, search.find, uncertainty=repr(uncertainty))
+
+
+def first_optimum(
+    robot: Robot, task: Task, margins: Margins, lightest: float
+) -> tuple[MotionProgram, PlannedMotion]:
+    """The nonlinear program, and its solution.
 
     Raises:
-        Infeasible: as :meth:`PlanSearch.find`.
+        Infeasible: if there is no motion within the limits.
     """
-    search = PlanSearch(replace(task, payload_known=False, model_payload=0.0), uncertainty)
-    return cached_plan(
-        __name__,
-        task.robot,
-        task.trajectory,
-        search.find,
-        error_bounds=task.error_bounds,
-        control_frequency=task.control_frequency,
-        cable=task.cable,
-        uncertainty=repr(uncertainty),
-    )
+    settings: dict[str, Any] = {"margins": margins, "period": 1 / task.control_frequency}
+    motion = (robot, task.trajectory, task.error_bounds)
+    intervals = intervals_of(robot, task.trajectory)
+    program = MotionProgram(*motion, intervals=intervals, lightest=lightest, **settings)
+    if not robot.flexible:
+        return program, program.solve()
+    few = max(MINIMUM_INTERVALS, round(intervals / COARSE))
+    coarse = MotionProgram(*motion, intervals=few, **settings).solve()
+    start = with_lighter_payload(coarse, robot, lightest)
+    try:
+        return program, program.solve(start, near=True)
+    except Infeasible:
+        return program, program.solve(start)
+
+
+OPTIMAL = Planner(name="trajopt", first=first_optimum, module=__name__)
+"""Plans by trajectory optimisation."""
 
 
 def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> ObserverLaw:
@@ -144,16 +196,17 @@ class PlanSearch:
     """Search for the plan that carries most on random robots.
 
     The first plan has margins for the bias of the sensors. A rehearsal gives the spread of the
-    robots about it, and thus margins over time. Each further plan is rehearsed too: its margins to
-    the actions shrink while all robots carry its payload, and margins grow at the times at which
-    robots exceed a limit.
+    robots about it, and thus margins over time. Each further plan is rehearsed too, until all
+    robots carry its payload: margins grow at the times at which robots exceed a limit.
 
     Args:
+        planner: how plans are made.
         task: the task, with an unknown payload.
         uncertainty: the uncertainty.
     """
 
-    def __init__(self, task: Task, uncertainty: Uncertainty) -> None:
+    def __init__(self, planner: Planner, task: Task, uncertainty: Uncertainty) -> None:
+        self._planner = planner
         self._task = task
         self._uncertainty = uncertainty
         self._expectation = Expectation.of(task.robot, uncertainty)
@@ -165,10 +218,13 @@ class PlanSearch:
             Infeasible: if there is no motion within the error bounds for the expected robot, or the
                 random robots fail unloaded.
         """
-        program, plan = self._first_plan()
-        most, best = -1.0, plan
+        lightest = -LIGHTEST * self._expectation.mass_spread
+        margins = self._margins(FIRST_MARGINS, biases=SENSOR_BIASES)
+        robot = self._expectation.robot
+        program, plan = self._planner.first(robot, self._task, margins, lightest)
         rehearsal = self._rehearsal(plan, (0.0, 1.0))
         profile = self._startable(spread_margins(rehearsal, plan))
+        most, best = -1.0, plan
         for _ in range(ROUNDS):
             try:
                 plan = program.resolve(*self._split(profile))
@@ -176,14 +232,11 @@ class PlanSearch:
                 break
             rehearsal = self._rehearsal(plan, FRACTIONS)
             carried = rehearsal.largest_carried()
-            if 0 <= carried <= most:
-                break
             if carried > most:
                 most, best = carried, plan
             if carried >= plan.payload:
-                profile = replace(profile, action=BOLDER * profile.action)
-            else:
-                profile = self._startable(grown_margins(profile, rehearsal))
+                break
+            profile = self._startable(grown_margins(profile, rehearsal))
         if most < 0:
             raise Infeasible("the random robots carry none of the plans")
         return best
@@ -192,33 +245,6 @@ class PlanSearch:
         law = tracking_law(plan, self._expectation, self._task)
         payloads = [fraction * plan.payload for fraction in fractions]
         return rehearse(law, self._task, self._uncertainty, payloads)
-
-    def _first_plan(self) -> tuple[MotionProgram, PlannedMotion]:
-        """The program, and its solution with the first margins."""
-        task = self._task
-        intervals = intervals_of(task.robot, task.trajectory)
-        lightest = -LIGHTEST * self._expectation.mass_spread
-        program = self._program(intervals, lightest)
-        if not task.robot.flexible:
-            return program, program.solve()
-        coarse = self._program(max(MINIMUM_INTERVALS, round(intervals / COARSE)), None).solve()
-        start = with_lighter_payload(coarse, self._expectation.robot, lightest)
-        try:
-            return program, program.solve(start, near=True)
-        except Infeasible:
-            return program, program.solve(start)
-
-    def _program(self, intervals: int, lightest: float | None) -> MotionProgram:
-        task = self._task
-        return MotionProgram(
-            self._expectation.robot,
-            task.trajectory,
-            task.error_bounds,
-            intervals=intervals,
-            margins=self._margins(FIRST_MARGINS, biases=SENSOR_BIASES),
-            lightest=lightest,
-            period=1 / task.control_frequency,
-        )
 
     def _margins(self, margins: Margins, biases: float = 0.0) -> Margins:
         """Margins in SI units, with a number of standard deviations of the sensors' bias."""

@@ -20,13 +20,13 @@ from cablebot_baselines.laws.observer_law import UNCERTAINTY, ObserverLaw
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, PlanLaw
 from cablebot_baselines.planners.rehearsed import (
-    find_rehearsed_plan,
-    intervals_of,
+    OPTIMAL,
+    Planner,
     largest_tension_margin,
     tracking_law,
 )
 from cablebot_gym.motions import Trajectory
-from cablebot_gym.planning import Infeasible, Margins, PlannedMotion, plan_motion
+from cablebot_gym.planning import Infeasible, Margins, PlannedMotion
 from cablebot_gym.planning.stage_functions import check_model, import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
@@ -89,18 +89,18 @@ class TrajOpt:
 
     Args:
         robot: nominal robot.
+        planner: how plans are made.
 
     Raises:
-        ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if the motors of the robot have a lag.
     """
 
     unsaturated_actions = False
 
-    def __init__(self, robot: Robot) -> None:
-        import_casadi()
+    def __init__(self, robot: Robot, planner: Planner = OPTIMAL) -> None:
         check_model(robot)
         self.robot = robot
+        self.planner = planner
         self.fallbacks = 0
         """Number of episodes without a plan since the last :meth:`reset`."""
         # Environments with the same plan and their law.
@@ -126,8 +126,9 @@ class TrajOpt:
             indices.append(env_index)
         for name, episodes in without_plan.items():
             _LOGGER.warning(
-                "trajopt tracks trajectory %r without a plan in %d episodes: no motion within the "
+                "%s tracks trajectory %r without a plan in %d episodes: no motion within the "
                 "error bounds is feasible with a payload",
+                self.planner.name,
                 name,
                 episodes,
             )
@@ -166,20 +167,17 @@ class TrajOpt:
     def _rehearsed_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
         """The plan for robots that are not exactly known, and its law."""
         uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
-        plan = find_rehearsed_plan(replace(task, robot=self.robot), uncertainty)
+        plan = self.planner.rehearsed(replace(task, robot=self.robot), uncertainty)
         return plan, tracking_law(plan, Expectation.of(self.robot, uncertainty), task)
 
     def _exact_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
         """The plan for an exactly known robot, and its law."""
-        plan = plan_motion(
-            self.robot,
-            task.trajectory,
-            task.error_bounds,
-            intervals=intervals_of(self.robot, task.trajectory),
-            margins=exact_margins(self.robot, task.error_bounds),
-            lightest=0.0,
-            period=1 / task.control_frequency,
-        )
+        margins = exact_margins(self.robot, task.error_bounds)
+
+        def make() -> PlannedMotion:
+            return self.planner.first(self.robot, task, margins, 0.0)[1]
+
+        plan = self.planner.cached(replace(task, robot=self.robot), make, margins=margins)
         joints = self.robot.joints
         tracking = PlanLaw(
             self.robot,
@@ -222,4 +220,15 @@ class TrajOpt:
         return actions, tuple(states)
 
 
-TRAJOPT = entry("trajopt", TrajOpt)
+def make_trajopt(robot: Robot) -> TrajOpt:
+    """The policy with trajectory optimisation for a nominal robot.
+
+    Raises:
+        ImportError: if CasADi is missing; the message names the command that installs it.
+        ValueError: as :class:`TrajOpt`.
+    """
+    import_casadi()
+    return TrajOpt(robot)
+
+
+TRAJOPT = entry("trajopt", make_trajopt)
