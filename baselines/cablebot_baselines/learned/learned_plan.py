@@ -15,10 +15,9 @@ except ImportError as error:
 from cablebot_baselines.learned.network_program import NetworkProgram
 from cablebot_baselines.learned.plan_network import PlanNetwork
 from cablebot_baselines.learned.plan_space import PlanSpace
-from cablebot_baselines.planners.rehearsed import Planner, intervals_of
+from cablebot_baselines.planners.rehearsed import Planner
 from cablebot_baselines.planners.trajopt import TrajOpt
-from cablebot_gym.planning import Margins, MotionProgram, PlannedMotion
-from cablebot_gym.planning.stage_functions import import_casadi
+from cablebot_gym.planning import Margins, PlannedMotion
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
@@ -40,35 +39,24 @@ class NetworkPlans:
         except (OSError, RuntimeError, ValueError) as error:
             raise ValueError(f"cannot read the network in {str(path)!r} ({error})") from error
 
-    def planner(self, name: str, *, refined: bool = False) -> Planner:
-        """How a policy of this name makes its plans."""
-        first = self._refined if refined else self._planned
+    def planner(self, name: str, *, refine: bool) -> Planner:
+        """How the policy of this name makes its plans."""
+
+        def first(
+            robot: Robot, task: Task, margins: Margins, lightest: float
+        ) -> tuple[NetworkProgram, PlannedMotion]:
+            space = PlanSpace(robot, task.error_bounds)
+            program = NetworkProgram(
+                PlanNetwork.of_weights(space, self._weights),
+                space,
+                task.trajectory,
+                margins=margins,
+                lightest=lightest,
+                refine=refine,
+            )
+            return program, program.solve()
+
         return Planner(name=name, first=first, module=__name__, key=self.key)
-
-    def _planned(
-        self, robot: Robot, task: Task, margins: Margins, lightest: float
-    ) -> tuple[NetworkProgram, PlannedMotion]:
-        space = PlanSpace(robot, task.error_bounds)
-        network = PlanNetwork.of_weights(space, self._weights)
-        motion = task.trajectory
-        program = NetworkProgram(network, space, motion, margins=margins, lightest=lightest)
-        return program, program.solve()
-
-    def _refined(
-        self, robot: Robot, task: Task, margins: Margins, lightest: float
-    ) -> tuple[MotionProgram, PlannedMotion]:
-        """The nonlinear program, and its solution near the plan of the network."""
-        _, start = self._planned(robot, task, margins, lightest)
-        program = MotionProgram(
-            robot,
-            task.trajectory,
-            task.error_bounds,
-            intervals=intervals_of(robot, task.trajectory),
-            margins=margins,
-            lightest=lightest,
-            period=1 / task.control_frequency,
-        )
-        return program, program.solve(start, near=True)
 
 
 def learned_plan(robot: Robot, path: Path) -> TrajOpt:
@@ -77,15 +65,13 @@ def learned_plan(robot: Robot, path: Path) -> TrajOpt:
     Raises:
         ValueError: if the file cannot be read, or the motors of the robot have a lag.
     """
-    return TrajOpt(robot, NetworkPlans(path).planner("learned-plan"))
+    return TrajOpt(robot, NetworkPlans(path).planner("learned-plan", refine=False))
 
 
 def refined_plan(robot: Robot, path: Path) -> TrajOpt:
-    """The policy with plans that a nonlinear program refines.
+    """The policy with such plans after a few Gauss–Newton steps.
 
     Raises:
-        ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: as :func:`learned_plan`.
     """
-    import_casadi()
-    return TrajOpt(robot, NetworkPlans(path).planner("refined-plan", refined=True))
+    return TrajOpt(robot, NetworkPlans(path).planner("refined-plan", refine=True))

@@ -8,12 +8,16 @@ from torch import Tensor
 
 from cablebot_baselines.learned.plan_network import PlanNetwork, control_points
 from cablebot_baselines.learned.plan_space import PlanSpace
+from cablebot_baselines.learned.refinement import refined
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.planning import Infeasible, MarginProfile, Margins, PlannedMotion
 
 COARSE = np.geomspace(0.5, 8.0, 24)
 """Payloads of the first plans, in payloads of exact tracking."""
+
+REFINED = np.geomspace(1.02, 1.12, 4)
+"""Payloads of refined plans, in payloads of the network's."""
 
 FINE = 12
 """Number of plans between the heaviest feasible one of these and the next one."""
@@ -31,6 +35,7 @@ class NetworkProgram:
         trajectory: reference motion.
         margins: margins of the first plan.
         lightest: payload for which a plan must be feasible too [kg].
+        refine: whether plans with margins over time are refined by Gauss–Newton steps.
     """
 
     def __init__(
@@ -41,10 +46,11 @@ class NetworkProgram:
         *,
         margins: Margins,
         lightest: float,
+        refine: bool = False,
     ) -> None:
         self._network, self._space = network, space
         self._trajectory, self._lightest = trajectory, lightest
-        self._margins = margins
+        self._margins, self._refine = margins, refine
         self._problem = space.problem(trajectory)
 
     def solve(self) -> PlannedMotion:
@@ -72,9 +78,14 @@ class NetworkProgram:
         if plan is None:
             raise Infeasible("the network plans no feasible motion")
         finer = plan.payload * np.geomspace(1.0, COARSE[1] / COARSE[0], FINE + 1)[1:-1]
-        return self._best(finer, at_nodes, margins) or plan
+        plan = self._best(finer, at_nodes, margins) or plan
+        if self._refine and profile is not None:
+            plan = self._best(plan.payload * REFINED, at_nodes, margins, refine=True) or plan
+        return plan
 
-    def _best(self, payloads: Array, at_nodes: Tensor, margins: Margins) -> PlannedMotion | None:
+    def _best(
+        self, payloads: Array, at_nodes: Tensor, margins: Margins, *, refine: bool = False
+    ) -> PlannedMotion | None:
         """The feasible plan with the heaviest of some payloads."""
         space = self._space
         count = len(payloads)
@@ -82,6 +93,8 @@ class NetworkProgram:
         pairs = torch.tensor([[self._lightest, payload] for payload in payloads])
         query = space.query(problem, pairs, at_nodes.expand(count, -1, -1))
         points = control_points(space, query, self._network.plan(query))
+        if refine:
+            points = refined(space, query, points)
         parts = space.violations(query, points, space.checks)
         largest = torch.stack([part.flatten(1).amax(1) for part in parts]).amax(0)
         feasible = np.flatnonzero(largest.numpy() < TOLERANCE)

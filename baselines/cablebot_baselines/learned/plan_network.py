@@ -141,7 +141,8 @@ def _features(space: PlanSpace, query: PlanQuery, moves: Tensor) -> Tensor:
     and tensions of the present plan with both payloads."""
     problem = query.problem
     margins = query.margins
-    required = space.actuation(query, control_points(space, query, moves), space.node_basis)
+    points = control_points(space, query, moves)
+    required = space.actuation(query, space.node_basis.orders(points, problem.duration))
     reserve = space.robot.minimum_tension / space.tension + margins[..., 2, None]
     missing = reserve - required.tensions.flatten(2) / space.tension
     limits = (1 - margins[..., None, 3:]).expand_as(required.action).flatten(2)

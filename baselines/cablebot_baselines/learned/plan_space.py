@@ -6,8 +6,8 @@ tensions at all instants at once, without a rollout.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -52,6 +52,10 @@ there [s]."""
 
 DECAYS = (0.1, 0.3)
 """Time constants of the inputs that mark the start and the end of a motion [s]."""
+
+RESERVES = {"position": 0.005, "rotation": 0.005, "tension": 0.005, "action": 0.002}
+"""Margins of a training and of a refinement in addition, because a plan is also checked between their
+instants."""
 
 TENSION = 0.1
 """Missing tension that counts as much as an action that is 1 too large, as a fraction of the cable
@@ -138,10 +142,11 @@ class PlanSpace:
         self.nodes = greville(self.knots, self.degree)
         """Fractions of the duration at which the control points act most, (count,)."""
         self.node_basis = self._basis(self.nodes)
-        self.stages = self._basis(_middles(STAGES[robot.joints] * intervals))
-        self.checks = self._basis(_middles(CHECKS[robot.joints] * intervals))
+        self.stages = self._basis(_fractions(STAGES[robot.joints] * intervals))
+        self.checks = self._basis(_fractions(CHECKS[robot.joints] * intervals))
         count = ERROR_STAGES * intervals
-        self._error_basis = self._basis(np.arange(1, count + 1) / count)
+        self.errors = self._basis(np.arange(1, count + 1) / count)
+        """The instants of the error bounds."""
         fit = self._basis(np.linspace(0.0, 1.0, FIT_SAMPLES))
         self._fit = np.linalg.pinv(fit.matrices[0].numpy())
         bounds = [error_bounds.position] * robot.dimensions
@@ -150,6 +155,13 @@ class PlanSpace:
         """Error bound of each coordinate, (n,) [m, rad]."""
         self.tension = TENSION * float((robot.stall_torque / robot.pulley_radius).mean())
         """Unit of missing tensions [N]."""
+        self.reserve = self.margin_vector(RESERVES)
+        """Margins in addition to those of a query, (3 + m,)."""
+
+    def margin_vector(self, margins: Mapping[str, float]) -> Tensor:
+        """Margins by the names of :class:`Margins` in the order and units of :class:`PlanQuery`."""
+        names = ["position", "rotation", "tension"] + ["action"] * self.robot.cables
+        return torch.tensor([margins[name] for name in names], dtype=_FLOAT)
 
     @property
     def has_internal(self) -> bool:
@@ -185,7 +197,7 @@ class PlanSpace:
             "duration": duration,
             "points": points,
             "start": self._start(trajectory),
-            "poses": trajectory(self._error_basis.instants * end).position,
+            "poses": trajectory(self.errors.instants * end).position,
             "inputs": np.concatenate(inputs, axis=1),
             "exact": 0.0,
         }
@@ -211,7 +223,8 @@ class PlanSpace:
         margins = torch.zeros(len(problem), len(self.nodes), 3 + self.robot.cables, dtype=_FLOAT)
         query = self.query(problem, payloads, margins)
         points = torch.cat([problem.points, query.internal], dim=-1)
-        unloaded, loaded = self.actuation(query, points, self.node_basis).action.unbind(dim=2)
+        orders = self.node_basis.orders(points, problem.duration)
+        unloaded, loaded = self.actuation(query, orders).action.unbind(dim=2)
         slope = (loaded - unloaded) / mass
         largest = (1 - slope.sign() * unloaded) / slope.abs()
         return largest.amin((1, 2)).clamp(min=0.05 * mass)
@@ -219,53 +232,37 @@ class PlanSpace:
     @torch.no_grad()
     def query(self, problem: PlanProblem, payloads: Tensor, margins: Tensor) -> PlanQuery:
         """The query of plans with payloads (N, 2) and margins."""
-        internal = problem.points[..., :0]
-        if self.has_internal:
-            minimum = self._minimum(margins)
-            points = problem.points
-            required = self._required(problem, points, payloads, minimum, self.node_basis)
-            structure = textbook.jacobian(self.robot, points.numpy())
-            internal = _internal(torch.tensor(structure), required.tensions)
-        return PlanQuery(problem=problem, payloads=payloads, margins=margins, internal=internal)
-
-    def _minimum(self, margins: Tensor) -> Tensor:
-        """Least tension of redundant cables [N], (N,): that at the first control point."""
-        return self.robot.minimum_tension + self.tension * margins[:, 0, 2]
+        nothing = problem.points[..., :0]
+        query = PlanQuery(problem=problem, payloads=payloads, margins=margins, internal=nothing)
+        if not self.has_internal:
+            return query
+        orders = self.node_basis.orders(problem.points, problem.duration)
+        structure = textbook.jacobian(self.robot, problem.points.numpy())
+        tensions = self.actuation(query, orders).tensions
+        return replace(query, internal=_internal(torch.tensor(structure), tensions))
 
     def _basis(self, instants: Array) -> Basis:
         return Basis.of(self.knots, self.degree, instants, 4 if self.robot.flexible else 2)
 
-    def actuation(self, query: PlanQuery, points: Tensor, basis: Basis) -> RequiredActuation:
+    def actuation(self, query: PlanQuery, orders: Sequence[Tensor]) -> RequiredActuation:
         """Tensions, torques and actions at instants with both payloads, each (N, instants, 2, m).
 
         Args:
             query: what the plans are asked for.
-            points: control points of the motions and of the internal tensions, (N, count, n) or (N,
-                count, n + 2).
-            basis: the instants.
+            orders: X, with the internal tensions, and its derivatives, each (N, instants, n) or (N,
+                instants, n + 2).
         """
-        minimum = self._minimum(query.margins)
-        return self._required(query.problem, points, query.payloads, minimum, basis)
-
-    def _required(
-        self,
-        problem: PlanProblem,
-        points: Tensor,
-        payloads: Tensor,
-        minimum: Tensor,
-        basis: Basis,
-    ) -> RequiredActuation:
-        orders = basis.orders(points, problem.duration)
-        count, instants, _ = orders[0].shape
+        count, instants, size = orders[0].shape
         coordinates = self.robot.coordinates
-        rows = [order.reshape(count * instants, -1) for order in orders]
+        rows = [order.reshape(count * instants, size) for order in orders]
         internal = None
-        if points.shape[-1] > coordinates:
+        if size > coordinates:
             internal = [row[:, coordinates:] for row in rows[:3]]
+        minimum = self.robot.minimum_tension + self.tension * query.margins[:, 0, 2]
         required = required_actuation(
             self.robot,
             [row[:, :coordinates] for row in rows],
-            (self.robot.mass + payloads).repeat_interleave(instants, dim=0),
+            (self.robot.mass + query.payloads).repeat_interleave(instants, dim=0),
             minimum.repeat_interleave(instants),
             internal,
         )
@@ -273,15 +270,16 @@ class PlanSpace:
         values = {item.name: getattr(required, item.name).view(shape) for item in fields(required)}
         return RequiredActuation(**values)
 
-    def violations(
-        self, query: PlanQuery, points: Tensor, basis: Basis
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """How far motions are beyond the limits: of the actions and of the tensions, each (N,
-        instants, 2, m), and of the errors, (N, instants, 1 + angles); zero within them.
+    def excess(self, query: PlanQuery, orders: Sequence[Tensor], basis: Basis) -> Tensor:
+        """How far the actions and the tensions are beyond their limits, (N, instants, 4 m); negative
+        within them.
 
-        The arguments are those of :meth:`actuation`.
+        Args:
+            query: what the plans are asked for.
+            orders: as for :meth:`actuation`.
+            basis: the instants.
         """
-        required = self.actuation(query, points, basis)
+        required = self.actuation(query, orders)
         margins = basis.interpolation @ query.margins
         action = required.action.abs() - (1 - margins[:, :, None, 3:])
         reserve = self.robot.minimum_tension + self.tension * margins[:, :, 2, None, None]
@@ -289,14 +287,30 @@ class PlanSpace:
         if np.isfinite(self.robot.maximum_tension):
             most = self.robot.maximum_tension + self.robot.minimum_tension - reserve
             missing = torch.maximum(missing, required.tensions - most)
-        error = self.errors(query.problem, points)
-        margins = self._error_basis.interpolation @ query.margins
-        allowed = 1 - torch.cat([margins[..., :1], margins[..., 1:2].expand_as(error[..., 1:])], -1)
-        return (
-            torch.relu(action),
-            torch.relu(missing / self.tension),
-            torch.relu(error - allowed),
-        )
+        return torch.cat([action.flatten(2), missing.flatten(2) / self.tension], dim=-1)
+
+    def error_excess(self, query: PlanQuery, poses: Tensor) -> Tensor:
+        """How far poses at the instants of :attr:`errors` are beyond the error bounds in units of
+        them, (N, instants, 1 + angles); negative within them."""
+        split = self.robot.dimensions
+        deviation = (poses[..., : self.robot.coordinates] - query.problem.poses) / self.bounds
+        distance = deviation[..., :split].norm(dim=-1, keepdim=True)
+        rotation = deviation[..., split:].abs()
+        margins = self.errors.interpolation @ query.margins
+        return torch.cat([distance + margins[..., :1], rotation + margins[..., 1:2]], dim=-1) - 1
+
+    def violations(self, query: PlanQuery, points: Tensor, basis: Basis) -> tuple[Tensor, Tensor]:
+        """Violations of actions and tensions, (N, instants, 4 m), and of the error bounds, (N,
+        instants, 1 + angles); zero within the limits.
+
+        Args:
+            query: what the plans are asked for.
+            points: control points of the motions and of the internal tensions, (N, count, n) or (N,
+                count, n + 2).
+            basis: the instants of actions and tensions.
+        """
+        excess = self.excess(query, basis.orders(points, query.problem.duration), basis)
+        return torch.relu(excess), torch.relu(self.error_excess(query, self.errors.poses(points)))
 
     @torch.no_grad()
     def motor_points(self, query: PlanQuery, points: Tensor) -> list[Array]:
@@ -304,24 +318,15 @@ class PlanSpace:
         payload, each (count, m) [rad]."""
         robot = self.robot
         basis = self._basis(np.linspace(0.0, 1.0, MOTOR_SAMPLES * len(self.nodes)))
-        required = self.actuation(query, points, basis)
+        required = self.actuation(query, basis.orders(points, query.problem.duration))
         forces = required.tensions[0]
         if robot.jointed:  # the springs accelerate the pulleys, too
             forces = required.torques[0] / torch.tensor(robot.pulley_radius)
-        poses = (basis.matrices[0] @ points[0])[:, None, : robot.coordinates]
+        poses = basis.poses(points[0])[:, None, : robot.coordinates]
         angles = textbook.rest_angles(robot, forces.numpy(), poses.numpy())
         inner = self.degree - MOTOR_DEGREE
         spline = make_lsq_spline(basis.instants, angles, self.knots[inner:-inner], MOTOR_DEGREE)
         return list(np.moveaxis(spline.c, 1, 0))
-
-    def errors(self, problem: PlanProblem, points: Tensor) -> Tensor:
-        """Distances from the reference and errors of the angles in units of their bounds, (N,
-        instants, 1 + angles)."""
-        poses = self._error_basis.matrices[0] @ points[..., : self.robot.coordinates]
-        deviation = (poses - problem.poses) / self.bounds
-        split = self.robot.dimensions
-        distance = deviation[..., :split].norm(dim=-1, keepdim=True)
-        return torch.cat([distance, deviation[..., split:].abs()], dim=-1)
 
     def node_margins(
         self, margins: Margins, profile: MarginProfile | None, duration: float
@@ -367,6 +372,10 @@ class Basis:
             interpolation=torch.tensor(np.stack(columns, axis=1)),
         )
 
+    def poses(self, points: Tensor) -> Tensor:
+        """X at the instants, (..., instants, n)."""
+        return self.matrices[0] @ points
+
     def orders(self, points: Tensor, duration: Tensor) -> list[Tensor]:
         """X and its derivatives with respect to time, each (N, instants, n)."""
         return [
@@ -375,10 +384,10 @@ class Basis:
         ]
 
 
-def _middles(count: int) -> Array:
-    """The middles of equal intervals of 0 to 1."""
-    middles: Array = (np.arange(count) + 0.5) / count
-    return middles
+def _fractions(count: int) -> Array:
+    """Equally spaced fractions from 0 to 1, the ends of this number of parts. Accelerations have
+    their extremes at the knots, which are among them."""
+    return np.linspace(0.0, 1.0, count + 1)
 
 
 def _internal(structure: Tensor, tensions: Tensor) -> Tensor:

@@ -63,16 +63,13 @@ LIGHTEST = 0.06
 """Largest mass that is missing from the unloaded platform, as a fraction of its mass."""
 
 LEVELS = (0.0, 0.0, 0.3, 0.6, 1.0)
-"""Levels of the random margins; the payload of a motion is that at level 0."""
+"""Levels of the random margins."""
 
 LARGEST_MARGINS = {"position": 0.25, "rotation": 0.25, "tension": 0.8, "action": 0.09}
 """Largest random margins, in the units of :meth:`PlanSpace.violations`."""
 
 MARGIN_KNOTS = 12
 """Knots of the random margins over time."""
-
-RESERVES = {"position": 0.005, "rotation": 0.005, "tension": 0.005, "action": 0.002}
-"""Margins in addition to these, because a plan is also checked between the instants of the loss."""
 
 ERROR_WEIGHT = 5.0
 """Weight of the error bounds in the loss."""
@@ -146,7 +143,7 @@ class PlanTraining:
         self.payload = FIRST_PAYLOAD * self.motions.exact
         """Present payload of each motion without margins, (N,) [kg]."""
         self.factors = torch.ones(len(LEVELS), dtype=torch.float64)
-        """Factors of the payloads at each level of margins."""
+        """Factors of the payloads at each level of margins; 1 without margins."""
         self._random = np.random.default_rng(seed)
         torch.manual_seed(seed)
         start = torch.arange(min(4 * BATCH, MOTIONS))
@@ -175,7 +172,7 @@ class PlanTraining:
         passes = int(random.integers(PASSES))
         moves = self.network(query, self.network.plan(query, passes))
         points = control_points(space, query, moves)
-        reserved = replace(query, margins=margins + self._vector(RESERVES))
+        reserved = replace(query, margins=margins + space.reserve)
         parts = space.violations(reserved, points, space.stages)
         loss = _loss(parts)
         self._optimiser.zero_grad()
@@ -187,7 +184,7 @@ class PlanTraining:
                 self.average.parameters(), self.network.parameters(), strict=True
             ):
                 mean.lerp_(value, max(AVERAGE, 1 / (self.step + 1)))
-        if passes == PASSES - 1:
+        if passes > 0:
             self._adapt(rows[~lighter], levels[~lighter.numpy()], _largest(parts)[~lighter])
         self.step += 1
         self.seconds += time.process_time() - began
@@ -199,20 +196,20 @@ class PlanTraining:
             group["lr"] = LEARNING_RATE * (warm * falling + LAST_RATE)
 
     def _adapt(self, rows: Tensor, levels: Any, violation: Tensor) -> None:
-        """Payloads grow where the plans are feasible."""
+        """Payloads grow where the plans are feasible. All motions share the factors of the levels of
+        margins, which change more slowly."""
         factor = torch.ones_like(violation)
         factor[violation < FEASIBLE] = GROWTH
         factor[violation > FAR] = SHRINKAGE
-        for level in np.unique(levels):
+        self.payload[rows] *= factor
+        for level in np.flatnonzero(LEVELS):
             marked = torch.tensor(levels == level)
-            if LEVELS[level] == 0:
-                self.payload[rows[marked]] *= factor[marked]
-            else:  # all motions share the factor, which changes more slowly
+            if marked.any():
                 self.factors[level] *= factor[marked].log().mean().div(4).exp()
 
     def _margins(self, levels: Any) -> Tensor:
         """Random margins at the control points for the levels of N motions."""
-        largest = self._vector(LARGEST_MARGINS).numpy()
+        largest = self.space.margin_vector(LARGEST_MARGINS).numpy()
         size = (len(levels), len(largest), 1)
         level = np.asarray(LEVELS)[levels][:, None, None] * largest[:, None]
         amplitude = level * self._random.uniform(size=size)
@@ -225,10 +222,6 @@ class PlanTraining:
         if self.space.redundant:  # their least tension is constant
             margins[:, 2] = margins[:, 2].max(axis=-1, keepdims=True)
         return torch.tensor(np.swapaxes(margins, 1, 2).copy())
-
-    def _vector(self, values: dict[str, float]) -> Tensor:
-        names = ["position", "rotation", "tension"] + ["action"] * self.space.robot.cables
-        return torch.tensor([values[name] for name in names], dtype=torch.float64)
 
     def curve(self) -> list[float]:
         """Payloads that the average carries on the motions that are not trained on [kg]."""
@@ -290,7 +283,7 @@ def _loss(parts: tuple[Tensor, ...]) -> Tensor:
     """Sums of the violations and their largest ones, mean over the motions."""
     loss = torch.zeros((), dtype=torch.float64)
     peak = torch.full((len(parts[0]),), 1e-24, dtype=torch.float64)
-    for part, weight in zip(parts, (1.0, 1.0, ERROR_WEIGHT), strict=True):
+    for part, weight in zip(parts, (1.0, ERROR_WEIGHT), strict=True):
         values = part.flatten(1)
         loss = loss + weight * (values**2 + LINEAR * values).sum(1)
         peak = peak + (values**PEAK).sum(1)

@@ -63,7 +63,7 @@ def load_learned_plan(robot: Robot) -> Policy:
 
 
 def load_refined_plan(robot: Robot) -> Policy:
-    """Loads ``refined-plan``, as :func:`load_learned_plan`. It needs CasADi, too."""
+    """Loads ``refined-plan``, as :func:`load_learned_plan`."""
     from cablebot_baselines.learned.learned_plan import refined_plan
 
     return refined_plan(robot, plan_weights(robot))

@@ -122,7 +122,7 @@ class Planner:
             error_bounds=task.error_bounds,
             control_frequency=task.control_frequency,
             cable=task.cable,
-            key=self.key,
+            planner=(self.name, self.key),
             **more,
         )
 
