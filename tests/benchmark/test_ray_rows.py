@@ -68,7 +68,7 @@ def test_rows_on_two_nodes_have_the_numbers_of_one_process(address, tmp_path):
 def test_job_of_a_killed_worker_is_repeated(address, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_backend, "RETRIES", 1)
     jobs = {"killed": partial(killed_at_first, str(tmp_path / "marker")), "deadly": always_killed}
-    outcomes = dict(on_ray(address)(jobs, print, (WorkerDied,)))
+    outcomes = dict(on_ray(address)(jobs))
     assert outcomes["killed"] == "computed"
     assert isinstance(outcomes["deadly"], WorkerDied)
     assert "died" in str(outcomes["deadly"])

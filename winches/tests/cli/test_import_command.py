@@ -21,5 +21,5 @@ def test_import_says_what_is_assumed_and_keeps_an_edited_file(cablebot, tmp_path
 
 def test_group_lists_the_command_beside_those_of_the_core(cablebot):
     shown = cablebot("robot --help").out
-    for name in ("robot check", "robot export", "robot import"):
-        assert f"  {name}  " in shown
+    for name in ("check", "export", "import"):
+        assert f" {name} " in shown
