@@ -41,7 +41,7 @@ HELD_OUT = range(10_000, 10_016)
 BATCH = 64
 """Motions in a step."""
 
-LEARNING_RATE, WARM_UP, LAST_RATE = 1e-3, 50, 0.01
+LEARNING_RATE, WARM_UP, LAST_RATE = 2e-3, 50, 0.01
 """Learning rate after this number of steps, which falls to this fraction of it as a cosine."""
 
 AVERAGE = 0.01
@@ -141,9 +141,9 @@ class PlanTraining:
         self.motions = problems(space, range(MOTIONS), progress)
         self.held_out = problems(space, HELD_OUT)
         self.payload = FIRST_PAYLOAD * self.motions.exact
-        """Present payload of each motion without margins, (N,) [kg]."""
+        """Present payload of each motion but for the factor, (N,) [kg]."""
         self.factors = torch.ones(len(LEVELS), dtype=torch.float64)
-        """Factors of the payloads at each level of margins; 1 without margins."""
+        """Factors of all payloads at each level of margins."""
         self._random = np.random.default_rng(seed)
         torch.manual_seed(seed)
         start = torch.arange(min(4 * BATCH, MOTIONS))
@@ -196,13 +196,13 @@ class PlanTraining:
             group["lr"] = LEARNING_RATE * (warm * falling + LAST_RATE)
 
     def _adapt(self, rows: Tensor, levels: Any, violation: Tensor) -> None:
-        """Payloads grow where the plans are feasible. All motions share the factors of the levels of
-        margins, which change more slowly."""
+        """Payloads grow where the plans are feasible: that of each motion, and the factor of all
+        motions at a level of margins."""
         factor = torch.ones_like(violation)
         factor[violation < FEASIBLE] = GROWTH
         factor[violation > FAR] = SHRINKAGE
         self.payload[rows] *= factor
-        for level in np.flatnonzero(LEVELS):
+        for level in range(len(LEVELS)):
             marked = torch.tensor(levels == level)
             if marked.any():
                 self.factors[level] *= factor[marked].log().mean().div(4).exp()
