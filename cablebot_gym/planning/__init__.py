@@ -9,6 +9,7 @@
 * ``signals``: Ctrl-C while the solver runs.
 """
 
+from cablebot_gym.planning.blocks import clamped_knots, greville
 from cablebot_gym.planning.following import Follower, State
 from cablebot_gym.planning.library import plan_motion
 from cablebot_gym.planning.motion import MarginProfile, Margins, PlannedMotion
@@ -22,5 +23,7 @@ __all__ = [
     "MotionProgram",
     "PlannedMotion",
     "State",
+    "clamped_knots",
+    "greville",
     "plan_motion",
 ]

@@ -23,7 +23,7 @@ FINE = 12
 """Number of plans between the heaviest feasible one of these and the next one."""
 
 TOLERANCE = 0.004
-"""Largest violation of a plan, in the units of :meth:`PlanSpace.violations`."""
+"""Largest violation of a plan, in the units of :meth:`~cablebot_baselines.learned.plan_space.PlanSpace.violations`."""
 
 
 class NetworkProgram:

@@ -29,8 +29,8 @@ DILATIONS = (1, 2, 4, 8)
 """Dilations of successive blocks."""
 
 LARGEST_ACTION, LARGEST_TENSION = 4.0, 8.0
-"""Largest inputs of actions and of tensions in units of :attr:`PlanSpace.tension`; the tensions are
-clipped at the half of it below zero."""
+"""Largest inputs of actions, and of tensions in the unit of
+:class:`~cablebot_baselines.learned.plan_space.PlanSpace`; half of it below zero."""
 
 LARGEST_INPUT = 8.0
 """Largest normalised input."""
@@ -116,7 +116,7 @@ def control_points(space: PlanSpace, query: PlanQuery, moves: Tensor) -> Tensor:
         query: what the plans are asked for.
         moves: any numbers of the same shape. Those of the pose are squashed, so that the control
             points stay near the tube of the error bounds; those of the internal tensions are in units
-            of :attr:`PlanSpace.tension`.
+            of :attr:`~cablebot_baselines.learned.plan_space.PlanSpace.tension`.
     """
     problem = query.problem
     points = problem.points + space.bounds * _deviation(space, moves)

@@ -19,8 +19,7 @@ from cablebot_baselines.learned.differentiable import RequiredActuation, require
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import MarginProfile, Margins
-from cablebot_gym.planning.blocks import clamped_knots, greville
+from cablebot_gym.planning import MarginProfile, Margins, clamped_knots, greville
 from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, start_pose

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -24,9 +25,8 @@ from torch import Tensor, nn
 from cablebot_baselines.learned.plan_network import PASSES, PlanNetwork, control_points
 from cablebot_baselines.learned.plan_space import PlanProblem, PlanSpace
 from cablebot_baselines.learned.training import one_thread
-from cablebot_gym.env_ids import ENV_ROBOTS
+from cablebot_gym import ENV_IDS
 from cablebot_gym.motions import find_trajectory
-from cablebot_gym.robots import find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.checks import choice, whole
 from cablebot_gym.utils.console import Step
@@ -66,7 +66,7 @@ LEVELS = (0.0, 0.0, 0.3, 0.6, 1.0)
 """Levels of the random margins."""
 
 LARGEST_MARGINS = {"position": 0.25, "rotation": 0.25, "tension": 0.8, "action": 0.09}
-"""Largest random margins, in the units of :meth:`PlanSpace.violations`."""
+"""Largest random margins, in the units of :meth:`~cablebot_baselines.learned.plan_space.PlanSpace.violations`."""
 
 MARGIN_KNOTS = 12
 """Knots of the random margins over time."""
@@ -102,12 +102,12 @@ def train_plans(
     Raises:
         ValueError: if an argument is invalid, or the robot has more than one redundant cable.
     """
-    choice("environment", env_id, ENV_ROBOTS)
+    choice("environment", env_id, ENV_IDS)
     whole("steps", steps, least=1)
     out = Path(out)
     check_writable_dir(out)
     out.mkdir(parents=True, exist_ok=True)
-    robot = find_robot(ENV_ROBOTS[env_id])
+    robot = gym.make(env_id).unwrapped.task.robot  # type: ignore[attr-defined]
     space = PlanSpace(robot, find_error_bounds(None, robot))
     with one_thread():
         training = PlanTraining(space, steps=steps, seed=seed, progress=progress)

@@ -54,7 +54,7 @@ def refined(space: PlanSpace, query: PlanQuery, points: Tensor) -> Tensor:
     Args:
         space: splines and limits of the robot.
         query: what the plans are asked for.
-        points: their control points, see :meth:`PlanSpace.violations`.
+        points: their control points, see :meth:`~cablebot_baselines.learned.plan_space.PlanSpace.violations`.
     """
     query = replace(query, margins=query.margins + space.reserve)
     best = _residuals(space, query, points)

@@ -87,7 +87,7 @@ def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
     return min(max(MINIMUM_INTERVALS, count), MAXIMUM_INTERVALS)
 
 
-class Program(Protocol):
+class PlanProgram(Protocol):
     """Plans the same motion again, with other margins."""
 
     def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
@@ -104,7 +104,7 @@ class Planner:
 
     name: str
     """Name of the policy."""
-    first: Callable[[Robot, Task, Margins, float], tuple[Program, PlannedMotion]]
+    first: Callable[[Robot, Task, Margins, float], tuple[PlanProgram, PlannedMotion]]
     """Makes the program of a robot and a task, and its plan with some margins, which is feasible from
     a lightest payload [kg] to its own."""
     module: str
