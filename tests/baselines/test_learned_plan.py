@@ -15,6 +15,7 @@ from cablebot_baselines.learned.learned_plan import learned_plan
 from cablebot_baselines.learned.network_program import NetworkProgram
 from cablebot_baselines.learned.plan_network import PlanNetwork, control_points, no_moves
 from cablebot_baselines.learned.plan_space import PlanSpace
+from cablebot_baselines.learned.refinement import refined
 from cablebot_baselines.learned.shipped import plan_weights
 from cablebot_baselines.planners.trajopt import exact_margins
 from cablebot_gym.motions import find_trajectory
@@ -119,6 +120,21 @@ def test_motor_angles_balance_the_platform_along_the_plan(robot):
         wrench = -np.einsum("tmn,tm->tn", textbook.jacobian(robot, planned.position), tensions)
         load = textbook.load(robot, np.full(50, robot.mass + payload), *derivatives)
         assert np.abs(wrench - load).max() < 0.02 * np.abs(load).max()
+
+
+@pytest.mark.landing
+def test_refinement_removes_violations_and_keeps_the_start():
+    """Of a payload that is a little too heavy for the network alone."""
+    space = space_of(PLANAR)
+    payload = 1.02 * plan_of(PLANAR).payload
+    margins = space.node_margins(MARGINS, None, loop(PLANAR).duration)
+    payloads = torch.tensor([[0.0, payload]], dtype=torch.float64)
+    query = space.query(space.problem(loop(PLANAR)), payloads, margins)
+    points = control_points(space, query, network_of(PLANAR, space).plan(query))
+    after = refined(space, query, points)
+    sizes = [max(map(torch.max, space.violations(query, x, space.checks))) for x in (points, after)]
+    assert sizes[1] < 0.5 * sizes[0]
+    assert torch.equal(after[:, : space.fixed], points[:, : space.fixed])
 
 
 def test_robot_with_two_redundant_cables_raises():
