@@ -151,6 +151,7 @@ def few_motions(monkeypatch):
 
 
 @pytest.mark.usefixtures("few_motions")
+@pytest.mark.landing
 def test_continued_training_gives_the_weights_of_one_without_a_break(tmp_path):
     env_id = IDS[PLANAR]
     plan_training.train_plans(env_id, out=tmp_path / "whole", steps=2)
