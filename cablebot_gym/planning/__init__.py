@@ -11,7 +11,6 @@
 
 from cablebot_gym.planning.blocks import clamped_knots, greville
 from cablebot_gym.planning.following import Follower, State
-from cablebot_gym.planning.library import plan_motion
 from cablebot_gym.planning.motion import MarginProfile, Margins, PlannedMotion
 from cablebot_gym.planning.program import Infeasible, MotionProgram
 
@@ -25,5 +24,4 @@ __all__ = [
     "State",
     "clamped_knots",
     "greville",
-    "plan_motion",
 ]

@@ -15,10 +15,8 @@ import numpy as np
 
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.planning.motion import PlannedMotion
-from cablebot_gym.planning.program import MotionProgram
-from cablebot_gym.planning.stage_functions import import_casadi
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds, to_jsonable
+from cablebot_gym.task import to_jsonable
 from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.files import atomic_write, cache_folder, read_cached
 
@@ -82,25 +80,6 @@ def load_or_compute(
     with suppress(OSError):
         atomic_write(path, lambda temporary: temporary.write_bytes(data))
     return value
-
-
-def plan_motion(
-    robot: Robot, trajectory: Trajectory, error_bounds: ErrorBounds, **settings: Any
-) -> PlannedMotion:
-    """The cached solution of a :class:`~cablebot_gym.planning.program.MotionProgram`, which has the
-    same arguments.
-
-    Raises:
-        Infeasible: if the solver finds no motion within the constraints.
-        ImportError: if CasADi is missing.
-    """
-    import_casadi()
-
-    def solve() -> PlannedMotion:
-        return MotionProgram(robot, trajectory, error_bounds, **settings).solve()
-
-    module = "cablebot_gym.planning.program"
-    return cached_plan(module, robot, trajectory, solve, error_bounds=error_bounds, **settings)
 
 
 def cached_plan(

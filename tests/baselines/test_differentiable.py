@@ -57,7 +57,7 @@ def test_actuation_equals_the_compiled_inverse_dynamics(robot):
     assert_allclose(action.numpy(), expected, rtol=1e-6, atol=1e-9)
 
 
-def test_internal_tension_moves_no_load():
+def test_wrench_is_the_same_with_any_internal_tension():
     """Without one, the least tension is the minimum."""
     x, mass = motion(CAMERA)
     derivatives = tensors(CAMERA, x)

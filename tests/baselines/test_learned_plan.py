@@ -58,7 +58,7 @@ def plan_of(robot, margins=MARGINS):
 
 
 @each_of(PLANAR, SPATIAL, FLEX_PLANAR)
-def test_spline_without_moves_is_the_reference_from_the_start_of_the_task(robot):
+def test_spline_follows_the_reference_from_the_start_of_the_task(robot):
     space = space_of(robot)
     margins = space.node_margins(Margins(), None, loop(robot).duration)
     payloads = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
@@ -152,7 +152,7 @@ def few_motions(monkeypatch):
 
 @pytest.mark.usefixtures("few_motions")
 @pytest.mark.landing
-def test_continued_training_gives_the_weights_of_one_without_a_break(tmp_path):
+def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     env_id = IDS[PLANAR]
     plan_training.train_plans(env_id, out=tmp_path / "whole", steps=2)
     part = plan_training.PlanTraining(space_of(PLANAR), steps=2, seed=0)

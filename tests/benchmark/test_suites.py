@@ -144,7 +144,7 @@ def test_policies_are_assigned_to_their_environments():
 
 
 @pytest.mark.landing
-def test_code_of_another_package_is_not_imported_here(module):
+def test_module_of_another_package_stays_unimported(module):
     """Its module once patched the judge when the benchmark read its environment ids. It cannot
     replace `fl` either."""
     for name, text in (

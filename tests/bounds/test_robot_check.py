@@ -75,7 +75,7 @@ BIFILAR = Robot(
         (with_transmission(CAMERA, load_friction=0.1), {"cable": "bilateral"}, "only pull"),
     ],
 )
-def test_simulation_refuses_what_it_does_not_know(robot, keywords, message):
+def test_unsupported_robots_are_refused_by_simulation_and_check(robot, keywords, message):
     with pytest.raises(ValueError, match=message):
         make_settings(robot=robot, count=1, **keywords)
     if not keywords:

@@ -14,7 +14,7 @@ pygame = import_pygame()
 
 
 @pytest.mark.landing
-def test_gymnasium_check_env_passes_without_display(monkeypatch):
+def test_gymnasium_check_env_passes_on_a_headless_machine(monkeypatch):
     """It makes the environment again in every render mode, including ``human``."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
         monkeypatch.delenv(name, raising=False)

@@ -4,8 +4,8 @@ import pytest
 from oracles.episodes import check_equal
 
 from cablebot_gym.motions import PointToPoint, find_trajectory
-from cablebot_gym.planning import Margins, MotionProgram, library, plan_motion
-from cablebot_gym.planning.library import cache_folder, fingerprint
+from cablebot_gym.planning import Margins, MotionProgram, library
+from cablebot_gym.planning.library import cache_folder, cached_plan, fingerprint
 from cablebot_gym.robots import PLANAR, Motors
 from cablebot_gym.task import ErrorBounds
 
@@ -17,7 +17,11 @@ BOUNDS = ErrorBounds(position=0.01)
 
 
 def plan(robot=PLANAR, trajectory=LINE, error_bounds=BOUNDS, intervals=8, **options):
-    return plan_motion(robot, trajectory, error_bounds, intervals=intervals, **options)
+    settings = {"error_bounds": error_bounds, "intervals": intervals, **options}
+    program = MotionProgram(robot, trajectory, **settings)
+    return cached_plan(
+        "cablebot_gym.planning.program", robot, trajectory, program.solve, **settings
+    )
 
 
 def test_stored_plan_is_read_in_place_of_a_solution(cache, monkeypatch):

@@ -139,7 +139,7 @@ def test_plan_keeps_its_margins_with_all_payloads(name):
         (PLANAR.replace(maximum_tension=7.0), {"tension": 3.1}),
     ],
 )
-def test_margins_that_leave_nothing_are_infeasible(robot, margins):
+def test_margins_larger_than_the_range_are_infeasible(robot, margins):
     reference = find_trajectory(f"paper-{robot.kind}", robot.coordinates)
     margins = Margins(**margins)
     program = MotionProgram(robot, reference, ErrorBounds(), intervals=4, margins=margins)
@@ -147,7 +147,7 @@ def test_margins_that_leave_nothing_are_infeasible(robot, margins):
         program.solve()
 
 
-def test_robot_with_motor_lag_has_no_plan():
+def test_robot_with_motor_lag_is_refused():
     """It would fail in the environment."""
     robot = PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01))
     with pytest.raises(

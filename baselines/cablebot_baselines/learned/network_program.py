@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from cablebot_baselines.learned.plan_network import PlanNetwork, control_points
-from cablebot_baselines.learned.plan_space import PlanSpace
+from cablebot_baselines.learned.plan_space import TOLERANCE, PlanSpace, largest_violation
 from cablebot_baselines.learned.refinement import refined
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
@@ -21,9 +21,6 @@ REFINED = np.geomspace(1.02, 1.12, 4)
 
 FINE = 12
 """Number of plans between the heaviest feasible one of these and the next one."""
-
-TOLERANCE = 0.004
-"""Largest violation of a plan, in the units of :meth:`~cablebot_baselines.learned.plan_space.PlanSpace.violations`."""
 
 
 class NetworkProgram:
@@ -96,8 +93,7 @@ class NetworkProgram:
         if refine:
             points = refined(space, query, points)
         parts = space.violations(query, points, space.checks)
-        largest = torch.stack([part.flatten(1).amax(1) for part in parts]).amax(0)
-        feasible = np.flatnonzero(largest.numpy() < TOLERANCE)
+        feasible = np.flatnonzero(largest_violation(parts).numpy() < TOLERANCE)
         if len(feasible) == 0:
             return None
         best = feasible[-1:]

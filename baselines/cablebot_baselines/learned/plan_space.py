@@ -56,6 +56,12 @@ RESERVES = {"position": 0.005, "rotation": 0.005, "tension": 0.005, "action": 0.
 """Margins of a training and of a refinement in addition, because a plan is also checked between their
 instants."""
 
+TOLERANCE = 0.004
+"""Largest violation of a feasible plan, in the units of :meth:`PlanSpace.violations`."""
+
+ERROR_WEIGHT = 5.0
+"""Weight of the squares of violated error bounds, in a training and in a refinement."""
+
 TENSION = 0.1
 """Missing tension that counts as much as an action that is 1 too large, as a fraction of the cable
 force of the stalled motors."""
@@ -162,6 +168,10 @@ class PlanSpace:
         names = ["position", "rotation", "tension"] + ["action"] * self.robot.cables
         return torch.tensor([margins[name] for name in names], dtype=_FLOAT)
 
+    def no_margins(self, count: int) -> Tensor:
+        """Margins of zero for a number of plans."""
+        return torch.zeros(count, len(self.nodes), 3 + self.robot.cables, dtype=_FLOAT)
+
     @property
     def has_internal(self) -> bool:
         """Whether the internal tension is planned: the law of a rigid robot selects it."""
@@ -219,8 +229,7 @@ class PlanSpace:
         robot's mass, (N,) [kg]."""
         mass = self.robot.mass
         payloads = torch.tensor([[0.0, mass]]).expand(len(problem), -1)
-        margins = torch.zeros(len(problem), len(self.nodes), 3 + self.robot.cables, dtype=_FLOAT)
-        query = self.query(problem, payloads, margins)
+        query = self.query(problem, payloads, self.no_margins(len(problem)))
         points = torch.cat([problem.points, query.internal], dim=-1)
         orders = self.node_basis.orders(points, problem.duration)
         unloaded, loaded = self.actuation(query, orders).action.unbind(dim=2)
@@ -381,6 +390,11 @@ class Basis:
             matrix @ points / duration[:, None, None] ** order
             for order, matrix in enumerate(self.matrices)
         ]
+
+
+def largest_violation(parts: Sequence[Tensor]) -> Tensor:
+    """Largest violation of each motion, (N,), see :meth:`PlanSpace.violations`."""
+    return torch.stack([part.detach().flatten(1).amax(1) for part in parts]).amax(0)
 
 
 def _fractions(count: int) -> Array:

@@ -17,18 +17,24 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from cablebot_baselines.learned.plan_network import PASSES, PlanNetwork, control_points
-from cablebot_baselines.learned.plan_space import PlanProblem, PlanSpace
+from cablebot_baselines.learned.plan_space import (
+    ERROR_WEIGHT,
+    TOLERANCE,
+    PlanProblem,
+    PlanSpace,
+    largest_violation,
+)
 from cablebot_baselines.learned.training import one_thread
-from cablebot_gym import ENV_IDS
+from cablebot_gym.envs import env_robot
 from cablebot_gym.motions import find_trajectory
+from cablebot_gym.robots import find_robot
 from cablebot_gym.task import find_error_bounds
-from cablebot_gym.utils.checks import choice, whole
+from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import Step
 from cablebot_gym.utils.files import atomic_write, check_writable_dir
 
@@ -71,9 +77,6 @@ LARGEST_MARGINS = {"position": 0.25, "rotation": 0.25, "tension": 0.8, "action":
 MARGIN_KNOTS = 12
 """Knots of the random margins over time."""
 
-ERROR_WEIGHT = 5.0
-"""Weight of the error bounds in the loss."""
-
 LINEAR = 0.02
 """Violation at which the linear term of the loss is as large as the square one."""
 
@@ -82,9 +85,6 @@ PEAK = 8
 
 PARTS = 20
 """Checkpoints of a run."""
-
-TOLERANCE = 0.004
-"""Largest violation of a plan that counts as carried on the learning curve."""
 
 
 def train_plans(
@@ -102,12 +102,11 @@ def train_plans(
     Raises:
         ValueError: if an argument is invalid, or the robot has more than one redundant cable.
     """
-    choice("environment", env_id, ENV_IDS)
+    robot = find_robot(env_robot(env_id))
     whole("steps", steps, least=1)
     out = Path(out)
     check_writable_dir(out)
     out.mkdir(parents=True, exist_ok=True)
-    robot = gym.make(env_id).unwrapped.task.robot  # type: ignore[attr-defined]
     space = PlanSpace(robot, find_error_bounds(None, robot))
     with one_thread():
         training = PlanTraining(space, steps=steps, seed=seed, progress=progress)
@@ -185,7 +184,9 @@ class PlanTraining:
             ):
                 mean.lerp_(value, max(AVERAGE, 1 / (self.step + 1)))
         if passes > 0:
-            self._adapt(rows[~lighter], levels[~lighter.numpy()], _largest(parts)[~lighter])
+            self._adapt(
+                rows[~lighter], levels[~lighter.numpy()], largest_violation(parts)[~lighter]
+            )
         self.step += 1
         self.seconds += time.process_time() - began
 
@@ -226,8 +227,7 @@ class PlanTraining:
     def curve(self) -> list[float]:
         """Payloads that the average carries on the motions that are not trained on [kg]."""
         problem = self.held_out
-        size = (len(problem), len(self.space.nodes), 3 + self.space.robot.cables)
-        margins = torch.zeros(size, dtype=torch.float64)
+        margins = self.space.no_margins(len(problem))
         low = torch.zeros_like(problem.exact)
         high = 6 * problem.exact + 2
         for _ in range(10):
@@ -237,7 +237,7 @@ class PlanTraining:
             points = control_points(self.space, query, self.average.plan(query))
             with torch.no_grad():
                 parts = self.space.violations(query, points, self.space.checks)
-            carried = _largest(parts) < TOLERANCE
+            carried = largest_violation(parts) < TOLERANCE
             low = torch.where(carried, payload, low)
             high = torch.where(carried, high, payload)
         return [round(value, 3) for value in low.tolist()]
@@ -288,8 +288,3 @@ def _loss(parts: tuple[Tensor, ...]) -> Tensor:
         loss = loss + weight * (values**2 + LINEAR * values).sum(1)
         peak = peak + (values**PEAK).sum(1)
     return (loss + peak ** (1 / PEAK)).mean()
-
-
-def _largest(parts: tuple[Tensor, ...]) -> Tensor:
-    """Largest violation of each motion, (N,)."""
-    return torch.stack([part.detach().flatten(1).amax(1) for part in parts]).amax(0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from cablebot_baselines.learned.plan_space import Basis, PlanQuery, PlanSpace
+from cablebot_baselines.learned.plan_space import ERROR_WEIGHT, Basis, PlanQuery, PlanSpace
 
 STEPS = 12
 """Steps."""
@@ -21,9 +21,6 @@ ROWS = 4
 
 NEAR = 0.02
 """Distance to a limit within which it counts."""
-
-ERROR_WEIGHT = 5.0
-"""Weight of the squares of violated error bounds."""
 
 DAMPING, EASIER, HARDER = 0.3, 0.4, 4.0
 """First weight of the squares of the moves of the control points in units of the error bounds, and its
