@@ -21,6 +21,7 @@ from cablebot_baselines.planners.trajopt import exact_margins
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import MarginProfile, Margins
+from cablebot_gym.policies import load_policy
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import find_error_bounds
 
@@ -137,6 +138,12 @@ def test_refinement_removes_violations_and_keeps_the_start():
     assert torch.equal(after[:, : space.fixed], points[:, : space.fixed])
 
 
+def test_file_of_a_training_is_a_policy():
+    """Files of torch, of Stable-Baselines3 and bundles all end in .zip."""
+    policy = load_policy(str(plan_weights(PLANAR)), PLANAR)
+    assert policy.planner.name == "learned-plan"
+
+
 def test_robot_with_two_redundant_cables_raises():
     with pytest.raises(ValueError, match="a network plans for at most one"):
         space_of(find_robot("cogiro"))
@@ -161,7 +168,7 @@ def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     part.save(tmp_path / "broken")
     plan_training.train_plans(env_id, out=tmp_path / "broken", steps=2)
     whole, broken = (
-        torch.load(tmp_path / name / "plan.pt", weights_only=True) for name in ("whole", "broken")
+        torch.load(tmp_path / name / "plan.zip", weights_only=True) for name in ("whole", "broken")
     )
     for name, values in whole.items():
         assert torch.equal(values, broken[name])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 from cablebot_gym.policies import Policy
@@ -26,14 +27,15 @@ def load_bundle(path: str | Path, robot: Robot) -> Policy | None:
 
 def load_plan(path: str | Path, robot: Robot) -> Policy | None:
     """Loads a policy from the network of a ``train-plan`` run for a nominal robot; returns None if the
-    file is not ``….pt``.
+    file has no tensors of torch.
 
     Raises:
         ImportError: if torch is missing; the message names the command that installs it.
         ValueError: if the file cannot be read.
     """
-    if Path(path).suffix != ".pt":
-        return None
+    with zipfile.ZipFile(path) as archive:
+        if not any(name.endswith("/data.pkl") for name in archive.namelist()):
+            return None
     from cablebot_baselines.learned.learned_plan import learned_plan
 
     return learned_plan(robot, Path(path))

@@ -93,7 +93,7 @@ def train_plan(
     steps: Annotated[int, "Number of training steps in all."] = 8000,
     seed: Annotated[int, "Seed of weights and batches."] = 0,
 ) -> None:
-    """Train a network that plans motions, and write it to plan.pt.
+    """Train a network that plans motions, and write it to plan.zip.
 
     Ctrl-C keeps the last checkpoint; the same line continues from it.
 

@@ -26,7 +26,7 @@ class NetworkPlans:
     """Plans of the network in a file.
 
     Args:
-        path: ``plan.pt`` of a training. It holds tensors only and runs no code.
+        path: ``plan.zip`` of a training. It holds tensors only and runs no code.
 
     Raises:
         ValueError: if the file cannot be read.

@@ -3,7 +3,7 @@
 The loss are the violations of the limits by planned motions, without payload and with the present
 payload of each motion, which grows while its plan is feasible. Nothing is simulated.
 
-A run's folder contains ``plan.pt``, the weights, ``checkpoint.pt``, from which a run continues, and
+A run's folder contains ``plan.zip``, the weights, ``checkpoint.pt``, from which a run continues, and
 ``progress.csv``, the payloads on motions that are not trained on.
 """
 
@@ -248,7 +248,7 @@ class PlanTraining:
         state |= {name: getattr(self, name).state_dict() for name in _MODULES}
         state["random"] = self._random.bit_generator.state
         atomic_write(out / "checkpoint.pt", partial(torch.save, state))
-        atomic_write(out / "plan.pt", partial(torch.save, self.average.state_dict()))
+        atomic_write(out / "plan.zip", partial(torch.save, self.average.state_dict()))
 
     def load(self, out: Path) -> None:
         """Continues from the checkpoint of a folder, if there is one."""

@@ -10,7 +10,7 @@ from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Folder of ``plan-ID.pt``, the networks that plan, ``ppo-circle-spatial.zip``, the bundle,
+"""Folder of ``plan-ID.zip``, the networks that plan, ``ppo-circle-spatial.zip``, the bundle,
 ``ppo-circle-spatial.json``, the record of its training, and ``ppo-circle-spatial-sb3.zip``, the actor
 as a model of Stable-Baselines3."""
 
@@ -42,7 +42,7 @@ def plan_weights(robot: Robot) -> Path:
         ValueError: if there is none.
     """
     env_id = fitting_env_id(robot)
-    path = WEIGHTS / f"plan-{env_id}.pt"
+    path = WEIGHTS / f"plan-{env_id}.zip"
     if not path.is_file():
         raise ValueError(
             f"there is no network for robot {robot.name!r}: cablebot train-plan {env_id} trains one"
@@ -69,7 +69,7 @@ def load_refined_plan(robot: Robot) -> Policy:
     return refined_plan(robot, plan_weights(robot))
 
 
-NETWORKS = tuple(sorted(WEIGHTS.glob("plan-*.pt")))
+NETWORKS = tuple(sorted(WEIGHTS.glob("plan-*.zip")))
 """Files of the networks that plan."""
 
 LEARNED_PLAN = PolicyEntry(factory=load_learned_plan, files=NETWORKS, **DATA["learned-plan"])
