@@ -53,8 +53,7 @@ def check_environment(env_id: str) -> None:
 
 
 def check_policies() -> None:
-    """Loads every policy, and checks the DLCC of the paper's law and of a learned policy on the
-    paper's circle."""
+    """Loads every policy, and checks the DLCC of the paper's law on the paper's circle."""
     policies = entry_points(group="cablebot_gym.policies")
     assert policies, "the wheel has no policies"
     for policy in policies:
@@ -64,10 +63,7 @@ def check_policies() -> None:
     fl = evaluate_dlcc("fl", **conditions)
     assert fl.payload is not None
     assert 3 < fl.payload < 5, fl
-    shipped = evaluate_dlcc("ppo-circle", **conditions)
-    assert shipped.payload is not None
-    assert shipped.payload > 1.4 * fl.payload, shipped
-    print(f"{fl}\n{shipped}")
+    print(fl)
 
 
 def check_commands() -> None:
@@ -94,34 +90,13 @@ def check_commands() -> None:
     print(f"commands: {', '.join(names)}")
 
 
-TRAINING = """
-CableBot-Planar-v0:
-  n_timesteps: 512
-  n_envs: 32
-  n_steps: 8
-  batch_size: 64
-  policy: MlpPolicy
-  policy_kwargs: "dict(net_arch=[8])"
-  learning_rate: lin_1e-3
-  normalize: true
-  env_kwargs: {terminate_on_violation: true}
-  env_wrapper:
-    - cablebot_baselines.learned.wrappers.PayloadCurriculum: {heaviest: 3.0}
-    - cablebot_baselines.learned.wrappers.Steered:
-        base: {law: fl, gains: [2500, 100]}
-        steering: {kind: shift, action_period: 0.04, degree: 2}
-        features: [time_since_start, actions, error, model_payload]
-"""
-
-
 def check_extras() -> None:
     """Trains a policy, evaluates it with figures, and runs a suite of the benchmark."""
     program = Path(sys.executable).with_name("cablebot")
     with tempfile.TemporaryDirectory() as folder:
-        Path(folder, "ppo.yaml").write_text(TRAINING, encoding="utf-8")
         for arguments in (
-            "train CableBot-Planar-v0 --config ppo.yaml --out run --eval-every 512",
-            "dlcc CableBot-Planar-v0 --policy run/best.zip --resolution 0.5 --out figures",
+            "train CableBot-Planar-v0 --timesteps 1 --out run",
+            "dlcc CableBot-Planar-v0 --policy run/policy.zip --resolution 0.5 --out figures",
             "benchmark --suite smoke --policies fl,adaptive --out benchmark",
         ):
             subprocess.run(

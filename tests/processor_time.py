@@ -27,12 +27,6 @@ PROBE = 0.004
 """Processor time of :func:`probe` on the machine of these limits [s]. Another machine may be
 slower, and so is this one while its cores have other work."""
 
-EXEMPT = {
-    "tests/cli/test_files_of_users.py::test_reader_refuses_an_unreadable_file_in_one_sentence"
-    "[train.yaml-brackets]": "PyYAML is slow until it reaches Python's depth of calls",
-}
-"""Fast tests that cost more, by name, and why they are no slow ones."""
-
 NAME = "processor time"
 
 
@@ -148,7 +142,7 @@ class Judge:
     def verdicts(self):
         """What costs too much, in words."""
         for name, seconds in sorted(self.times.items(), key=lambda item: -item[1]):
-            if seconds > LIMIT and name not in EXEMPT:
+            if seconds > LIMIT:
                 yield f"{seconds:.2f} s of processor time, at most {LIMIT} s: {name}"
         total = sum(self.times.values())
         if total > TOTAL:
@@ -157,7 +151,7 @@ class Judge:
     def pytest_sessionfinish(self, session):
         """The run fails, unless other work makes all of it slower."""
         slow = [name for name, seconds in self.times.items() if seconds > MARGIN * LIMIT]
-        is_slow = not EXEMPT.keys() >= set(slow) or sum(self.times.values()) > TOTAL
+        is_slow = bool(slow) or sum(self.times.values()) > TOTAL
         if session.exitstatus == 0 and is_slow and not is_busy():
             session.exitstatus = 1
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import pages
 import pytest
 
-from cablebot_baselines.learned.shipped import WEIGHTS
 from cablebot_gym.benchmark.store import read as load_rows
 from cablebot_gym.envs import ENV_ROBOTS
 from cablebot_gym.envs.single import CableBotEnv
@@ -184,13 +183,6 @@ def test_policy_of_the_readme_runs(tmp_path):
     assert ran.returncode == 0
     assert all(line.startswith("compiling for") for line in ran.stderr.splitlines())
     assert re.search(r"payload known(, not isolated)?: \d\.\d+ kg", ran.stdout)
-
-
-def test_command_of_the_training_page_is_that_of_the_shipped_policy():
-    record = json.loads((WEIGHTS / "ppo-circle-spatial.json").read_text(encoding="utf-8"))
-    trained = record["seeds"][record["shipped_seed"]]["command"]
-    removed = re.compile(r" --(checkpoint-every|threads) \d+")
-    assert f"{removed.sub('', trained)} --out " in read("docs/training.md")
 
 
 def test_every_client_has_a_result():

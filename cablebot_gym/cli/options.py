@@ -32,7 +32,7 @@ FittingEnvId = Annotated[
 """The id of a command, for :func:`fitting_id`."""
 
 _POLICY = (
-    "Name of an installed policy, a .zip file (bundle or SB3 model), package.module:factory, or "
+    "Name of an installed policy, a .zip file (trained policy or SB3 model), package.module:factory, or "
     "file.py:factory"
 )
 PolicyName = Annotated[str, typer.Option("--policy", help=f"{_POLICY}.")]

@@ -47,7 +47,7 @@ def load_model(path: Path) -> Any:
         except Exception as error:
             failures.append(f"{algorithm.__name__}: {' '.join(str(error).split())[:200]}")
     raise ValueError(
-        f"policy file {str(path)!r} is neither a bundle of an installed package nor an SB3 model ({failures[0]})"
+        f"policy file {str(path)!r} is neither of an installed package nor an SB3 model ({failures[0]})"
     )
 
 

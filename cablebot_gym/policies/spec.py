@@ -294,9 +294,7 @@ def _make(spec: PolicySpec, robot: Robot) -> tuple[Policy, str]:
     if spec.kind == "factory":
         factory = _import_factory(name, subject)
         return _call(factory, robot, subject), subject
-    forms = (
-        "a learned bundle or an SB3 file ending in .zip, file.py:factory, or package.module:factory"
-    )
+    forms = "a trained policy or an SB3 model ending in .zip, file.py:factory, or package.module:factory"
     check_not_a_file("policy", name, forms)
     raise unknown_name_error("policy", name, policy_entries(), f", {forms}")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import get_args, get_type_hints
 
-from cablebot_baselines.learned.policy import LearnedPolicy
 from cablebot_gym.benchmark.tables import column_titles, entry_text, markdown_table, timing_text
 from cablebot_gym.policies import PolicyEntry, policy_entries
 from cablebot_gym.policies.options import option_parameters
@@ -53,8 +52,6 @@ def policy_class(entry: PolicyEntry) -> type:
     """The class of the policies that an entry makes, found without making one."""
     if isinstance(entry.factory, type):
         return entry.factory
-    if entry.kind == "learned":
-        return LearnedPolicy
     returned = get_type_hints(entry.factory)["return"]
     # The first of the classes for rigid robots and for those with springs.
     policy: type = next(iter(get_args(returned)), returned)

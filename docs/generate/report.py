@@ -10,7 +10,7 @@ from cablebot_gym.report.page import html, replay_queries
 from cablebot_gym.report.replay import replays
 from generate.pages import ranked
 
-RECORDED = ("fl", "ppo-circle", "composite", "motor-pd")
+RECORDED = ("fl", "composite", "motor-pd")
 """Policies with recorded episodes on the circle, payload known."""
 
 

@@ -3,7 +3,7 @@
 # [tool.clients]
 # constraints = "constraints/clients.txt"
 # ///
-"""RL Baselines3 Zoo trains on the compiled batch, with the configurations that ship with the package."""
+"""RL Baselines3 Zoo trains on the compiled batch, with the environments of the shipped recipe."""
 
 import sys
 from pathlib import Path
@@ -12,9 +12,19 @@ import numpy as np
 from rl_zoo3.exp_manager import ExperimentManager
 from rl_zoo3.train import train
 
-from cablebot_baselines.learned.recipe import HYPERPARAMS, make_training_envs
+from cablebot_baselines.learned.recipe import make_training_envs
 
 ENV_ID = "CableBot-Planar-v0"
+SETTINGS = f"""
+{ENV_ID}:
+  n_timesteps: 4096
+  n_envs: 8
+  policy: MlpPolicy
+  n_steps: 128
+  batch_size: 512
+  learning_rate: lin_1e-3
+  use_sde: true
+"""
 
 
 def batch(functions, **_):
@@ -22,12 +32,12 @@ def batch(functions, **_):
     return make_training_envs(ENV_ID, len(functions)).venv
 
 
+Path("ppo.yaml").write_text(SETTINGS, encoding="utf-8")
 ExperimentManager.default_vec_env_cls = staticmethod(batch)
 options = f"--algo ppo --env {ENV_ID} --gym-packages cablebot_gym --seed 0 --device cpu --n-eval-envs 1"
-options += " --n-timesteps 4096 --eval-freq 2048 --eval-episodes 4"
+options += " --eval-freq 2048 --eval-episodes 4 --conf-file ppo.yaml"
 options += " --log-folder logs --tensorboard-log tensorboard"
-options += " --hyperparams n_envs:8 n_steps:128 batch_size:512"  # the file has 1024 environments
-sys.argv[1:] = [*options.split(), "--conf-file", str(HYPERPARAMS)]
+sys.argv[1:] = options.split()
 train()
 (file,) = Path("logs").rglob("evaluations.npz")
 evaluations = np.load(file)

@@ -16,7 +16,7 @@ from cablebot_baselines.learned.network_program import NetworkProgram
 from cablebot_baselines.learned.plan_network import PlanNetwork, control_points, no_moves
 from cablebot_baselines.learned.plan_space import PlanSpace
 from cablebot_baselines.learned.refinement import refined
-from cablebot_baselines.learned.shipped import plan_weights
+from cablebot_baselines.learned.shipped import weights_of
 from cablebot_baselines.planners.trajopt import exact_margins
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
@@ -49,7 +49,7 @@ def space_of(robot):
 
 def network_of(robot, space):
     """The shipped network."""
-    return PlanNetwork.of_weights(space, torch.load(plan_weights(robot), weights_only=True))
+    return PlanNetwork.of_weights(space, torch.load(weights_of(robot, "plan"), weights_only=True))
 
 
 def plan_of(robot, margins=MARGINS):
@@ -95,7 +95,7 @@ def test_plan_keeps_its_limits_on_an_exactly_known_robot(robot):
     """With its payload and without, on a motion that the network was not trained on."""
     margins = exact_margins(robot, find_error_bounds(None, robot))
     plan = plan_of(robot, margins)
-    policy = learned_plan(robot, plan_weights(robot))
+    policy = learned_plan(robot, weights_of(robot, "plan"))
     motion = {"name": f"loop-{robot.kind}", "seed": SEED}
     payload = np.array([0.0, plan.payload])
     env = gym.make_vec(IDS[robot], num_envs=2, payload=payload, trajectory=motion)
@@ -139,8 +139,8 @@ def test_refinement_removes_violations_and_keeps_the_start():
 
 
 def test_file_of_a_training_is_a_policy():
-    """Files of torch, of Stable-Baselines3 and bundles all end in .zip."""
-    policy = load_policy(str(plan_weights(PLANAR)), PLANAR)
+    """Files of torch and of Stable-Baselines3 end in .zip."""
+    policy = load_policy(str(weights_of(PLANAR, "plan")), PLANAR)
     assert policy.planner.name == "learned-plan"
 
 

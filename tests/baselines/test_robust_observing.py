@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from oracles.episodes import ROBOTS
 from scipy.linalg import solve_continuous_lyapunov
-from steering import tasks_of
+from tasks import tasks_of
 
 from cablebot_baselines.laws import BoundedRobustPD, Observing
 from cablebot_baselines.laws.robust_design import RobustDesign

@@ -15,7 +15,7 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results"
 MAIN_ONLY = {"adaptive", "nmpc", "observing", "trajopt"}
 """Policies that have changed since the board, and are on its main table only."""
 
-COMPUTED_AGAIN = {"composite", "fl", "motor-pd", "ppo-circle", "robust"}
+COMPUTED_AGAIN = {"composite", "fl", "motor-pd", "robust"}
 """Other policies with rows that were computed after the board."""
 
 

@@ -116,7 +116,7 @@ ERRORS = (
     ("robot check cogiro --out my.txt", 2, "must end in .svg"),
     (EXPORT + "my.toml", 2, "--out must end in .xml, not 'my.toml'"),
     (EXPORT + "my.xml --payload -1", 2, "at least 0 kg"),
-    (TRAIN + "run --evaluation [1]", 2, "--evaluation must be a JSON object"),
+    (TRAIN + "run --timesteps 0", 2, "timesteps must be"),
     (f"best-known {PLANAR} --position-bound 0.01", 2, "position"),
 )
 """What is typed, the exit status, and words of the message."""

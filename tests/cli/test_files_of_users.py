@@ -35,19 +35,12 @@ def ends():
 """
 
 
-def of_training(path):
-    from cablebot_baselines.learned.recipe import find_config
-
-    return find_config("CableBot-Planar-v0", path)
-
-
 SQUARE = (ROOT / "examples" / "square.toml").read_text()
 READERS = {
     "robot.toml": (find_robot, SQUARE),
     "robot.TOML": (find_robot, SQUARE),
     "robot.json": (find_robot, json.dumps(PLANAR.to_dict())),
     "way.csv": (lambda path: find_trajectory(str(path), "planar"), "t,x,y\n0,0,0\n1,0.1,0\n"),
-    "train.yaml": (of_training, "default: {n_envs: 3}\n"),
     "smoke.jsonl": (read_all, "{}"),
 }
 
@@ -74,12 +67,6 @@ def test_reader_accepts_a_byte_order_mark_and_asks_for_utf_8(tmp_path, name):
         assert "save it as UTF-8" in outcome(read, path)
 
 
-def training(path):
-    from cablebot_baselines.learned.training import TrainingRun
-
-    return TrainingRun.load(path.parent)
-
-
 def option(path):
     return _read_data(SimpleNamespace(name="trajectory"), str(path))
 
@@ -93,7 +80,6 @@ def test_data_of_a_file_must_be_an_object(tmp_path):
 
 ALL_READERS = {name: read for name, (read, _) in READERS.items()} | {
     "motion.json": option,
-    "state.json": training,
     "statistics.pkl": lambda path: load_policy("fl", PLANAR, wrappers=[path]),
 }
 UNREADABLE = {

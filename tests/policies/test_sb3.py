@@ -1,4 +1,4 @@
-"""Policy files: bundles of other packages, and models of Stable-Baselines3 behind the wrappers of
+"""Policy files: those of other packages, and models of Stable-Baselines3 behind the wrappers of
 their training."""
 
 import gymnasium as gym

@@ -22,7 +22,7 @@ from cablebot_gym.task import Task
 UNCERTAINTY = "hardware"
 """Uncertainty that the laws expect."""
 
-_REFERENCE = {
+REFERENCE = {
     "reference_pose": "position",
     "reference_velocity": "velocity",
     "reference_acceleration": "acceleration",
@@ -192,12 +192,12 @@ class ObserverLaw(ClassicalLaw):
         They are those of the task's motion: a Taylor series from the observed reference does not
         know where its acceleration jumps, and a light platform then loses the tension of a cable.
         """
-        names = [name for name in _REFERENCE if name in instant.blocks]
+        names = [name for name in REFERENCE if name in instant.blocks]
         later = {name: np.empty_like(instant.blocks[name]) for name in names}
         for task, rows in self._motions:
             motion = task.trajectory(instant.time(task, rows))
             for name in names:
-                later[name][rows] = getattr(motion, _REFERENCE[name])
+                later[name][rows] = getattr(motion, REFERENCE[name])
         return later, None
 
     def _act(

@@ -30,12 +30,13 @@ class Observing(ObserverLaw):
 
     Args:
         robot: nominal robot; the law expects any of ``hardware``.
+        payload_prior: as for :class:`~cablebot_baselines.laws.observer_law.ObserverLaw`.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Robot, *, payload_prior: float = 1.0) -> None:
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
         kind = Composite if robot.flexible else FeedbackLinearization
-        super().__init__(kind(expectation.robot), expectation)
+        super().__init__(kind(expectation.robot), expectation, payload_prior=payload_prior)
 
     def _prepare(self, payloads: Array) -> None:
         self._laws = []

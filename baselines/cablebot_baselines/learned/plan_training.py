@@ -14,6 +14,7 @@ import math
 import time
 from dataclasses import replace
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,10 @@ from cablebot_baselines.learned.plan_space import (
 )
 from cablebot_baselines.learned.training import one_thread
 from cablebot_gym.envs import env_robot
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.robots import find_robot
+from cablebot_gym.envs.settings import default_trajectory
+from cablebot_gym.motions import Trajectory, find_trajectory
+from cablebot_gym.motions.loops import TRAINING_SEEDS
+from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import Step
@@ -44,7 +47,14 @@ MOTIONS = 3000
 HELD_OUT = range(10_000, 10_016)
 """Seeds of the motions of the learning curve."""
 
-BATCH = 64
+MOVED = 4
+"""One training motion of this number is moved towards the poses of the default motion, or away from
+them: random loops in space are level, and the paper's circle is tilted."""
+
+FARTHEST = 1.2
+"""Largest such distance, as a fraction of that to the mean pose of the default motion."""
+
+BATCH = 32
 """Motions in a step."""
 
 LEARNING_RATE, WARM_UP, LAST_RATE = 2e-3, 50, 0.01
@@ -248,7 +258,9 @@ class PlanTraining:
         state |= {name: getattr(self, name).state_dict() for name in _MODULES}
         state["random"] = self._random.bit_generator.state
         atomic_write(out / "checkpoint.pt", partial(torch.save, state))
-        atomic_write(out / "plan.zip", partial(torch.save, self.average.state_dict()))
+        buffer = BytesIO()  # in a file's archive, torch writes the name of the file
+        torch.save(self.average.state_dict(), buffer)
+        atomic_write(out / "plan.zip", lambda file: file.write_bytes(buffer.getvalue()))
 
     def load(self, out: Path) -> None:
         """Continues from the checkpoint of a folder, if there is one."""
@@ -269,14 +281,26 @@ _MODULES = ("network", "average", "_optimiser")
 
 def problems(space: PlanSpace, seeds: range, progress: Step | None = None) -> PlanProblem:
     """The random motions of some seeds as one problem."""
-    kind = space.robot.kind
     problem = []
     for index, seed in enumerate(seeds):
-        motion = find_trajectory({"name": f"loop-{kind}", "seed": seed}, kind)
-        problem.append(space.problem(motion))
+        problem.append(space.problem(_motion(space.robot, seed)))
         if progress is not None:
             progress(index + 1, len(seeds), "motions")
     return PlanProblem.joined(problem)
+
+
+def _motion(robot: Robot, seed: int) -> Trajectory:
+    """The random motion of a seed. Some of those for training are moved."""
+    motion: Any = find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind)
+    if seed % MOVED or seed not in TRAINING_SEEDS:
+        return motion
+    default = find_trajectory(default_trajectory(robot), robot.kind)
+    poses = default(np.linspace(0.0, default.duration, 50)).position
+    center = np.array(motion.motion.center)
+    away = np.random.default_rng(seed).uniform(-FARTHEST, FARTHEST, robot.coordinates)
+    moved = center + away * (poses.mean(0) - center)
+    loop = replace(motion.motion, center=tuple(moved.tolist()))
+    return replace(motion, motion=loop)
 
 
 def _loss(parts: tuple[Tensor, ...]) -> Tensor:

@@ -1,15 +1,15 @@
-"""Action mapping: a learner's actions shift the reference of a classical law.
+"""Steered control: a learner's actions shift the reference of ``observing`` within the error bounds.
 
-This module computes one control period from an observation and an action, for one episode or a
-batch. The wrappers for training and the policies for evaluation both use it, so that a policy
-behaves the same in both.
+The environment for training and the policy for evaluation both use :class:`Steering`, so that a
+learner acts the same in both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, ClassVar
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,125 +17,67 @@ from scipy.interpolate import BSpline
 
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.law import Array
-from cablebot_baselines.learned.base import Base
-from cablebot_baselines.learned.features import check_features, decays
+from cablebot_baselines.laws.observer_law import REFERENCE, Instant
+from cablebot_baselines.laws.observing import Observing
 from cablebot_gym.envs.observation import Blocks, observation_layout
+from cablebot_gym.envs.settings import default_trajectory
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import ErrorBounds, Task
-from cablebot_gym.utils.checks import choice, mapping, number, record, whole
+from cablebot_gym.task import Task
 
-DERIVATIVES = ("pose", "velocity", "acceleration", "jerk", "snap")
-"""Suffixes of the observation's blocks ``reference_…``; rigid robots have the first three."""
+ACTIONS = 40
+"""Number of actions in the default motion of a robot."""
 
-DEFAULT_PERIOD = 1 / 500
-"""Control period before :meth:`Steering.reset` sets it [s]."""
+FRACTION = 0.8
+"""Largest shift as a fraction of the error bounds."""
 
-LONGEST_ACTION_PERIOD = 10.0
-"""Largest time between two actions [s]."""
+DEGREE = {"rigid": 3, "flexible": 5}
+"""Degree of the spline: torques depend on its second derivative, with joint springs on its fourth."""
+
+PAYLOAD_PRIOR = 3.0
+"""Largest payload that the observer considers possible, in payloads of exact tracking."""
+
+PREVIEWS = (1, 2, 3, 4, 6, 8)
+"""Accelerations of the reference that a learner sees, in actions ahead."""
+
+TIME_CONSTANTS = (0.5, 1.5, 4.0, 10.0, 25.0)
+"""Time constants τ of the inputs exp(−t/τ) that mark the start and the end of a motion, in actions."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shift:
-    """Actions in [−1, 1]ⁿ shift the reference within the error bounds, along a smooth spline that a
-    law can track.
+class ShiftSpline:
+    """Uniform B-spline whose control points are the last actions.
 
-    Action k, taken at k · ``action_period``, is the k-th control point of a uniform B-spline. Its
-    position is clipped to the unit ball and scaled by the position bound; its rotation is scaled by
-    the rotation bound; both are multiplied by ``fraction``. The weight of a control point is zero
-    when the action is taken, and largest ``(degree + 1)/2 · action_period`` later. Before an
-    episode all control points are the start pose of the task minus the reference, so that the
-    shifted motion starts at rest where the robot is. A spline stays in the convex hull of its
-    control points, so that the shift never exceeds the error bounds.
+    A control point has the weight zero when its action is taken. The spline stays within the convex
+    hull of its control points, so that the shift never exceeds their bounds.
 
-    Raises:
-        ValueError: if a number is out of its range.
+    Args:
+        degree: degree of the spline.
+        action_period: time between two actions [s].
     """
 
-    kind: ClassVar[str] = "shift"
+    def __init__(self, degree: int, action_period: float) -> None:
+        self._action_period = action_period
+        basis = BSpline.basis_element(np.arange(degree + 2.0))
+        ages = np.arange(degree, -1.0, -1.0)
+        slopes = np.array([basis(ages, order) for order in range(degree + 1)])
+        self._series = np.zeros((5, degree + 1, degree + 1))
+        """Taylor series of the weights at an action, by derivative, power and control point."""
+        for order in range(min(4, degree) + 1):
+            for power in range(degree + 1 - order):
+                factor = math.factorial(power) * action_period**order
+                self._series[order, power] = slopes[order + power] / factor
 
-    action_period: float = 0.04
-    """Time between two actions [s]; > 0. It is rounded to whole control periods."""
-    fraction: float = 0.95
-    """Largest shift as a fraction of the bounds of position and rotation; in (0, 1]."""
-    degree: int = 3
-    """Degree of the spline, 2 to 5. Torques depend on its second derivative, with joint springs on
-    its fourth."""
-
-    def __post_init__(self) -> None:
-        period = number(
-            "action_period", self.action_period, above=0.0, most=LONGEST_ACTION_PERIOD, unit="s"
-        )
-        fraction = number("fraction", self.fraction, above=0.0, most=1.0)
-        degree = whole("degree", self.degree, least=2, most=5)
-        object.__setattr__(self, "action_period", period)
-        object.__setattr__(self, "fraction", fraction)
-        object.__setattr__(self, "degree", degree)
-
-    def actions(self, robot: Robot) -> int:
-        """Size of an action."""
-        return robot.coordinates
-
-    @property
-    def memory_length(self) -> int:
-        """Number of past actions that affect the spline."""
-        return self.degree + 1
-
-    def bounds(self, error_bounds: ErrorBounds, robot: Robot) -> Array:
-        """Largest shift of each coordinate, (n,) [m, rad]."""
-        is_rotation = np.arange(robot.coordinates) >= robot.dimensions
-        bounds = np.where(is_rotation, error_bounds.rotation, error_bounds.position)
-        return self.fraction * bounds
-
-    def weights(self, times: Array, action_period: float) -> Array:
-        """Weights of the last control points in the spline and its derivatives up to snap.
+    def weights(self, times: Array) -> Array:
+        """Weights of the control points in the spline and its derivatives up to snap, (..., 5, degree
+        + 1), the oldest control point first.
 
         Args:
-            times: time since the last action, (...) [s]; from 0 to ``action_period``.
-            action_period: action period in whole control periods [s].
-
-        Returns:
-            (..., 5, degree + 1), oldest control point first.
+            times: times since the last action [s], (...).
         """
-        knots = np.arange(self.degree + 2.0)
-        basis = BSpline.basis_element(knots, extrapolate=False)
-        ages = np.arange(self.degree, -1.0, -1.0)
-        times = np.asarray(times)[..., None]
-        phases = times / action_period
-        # A knot is evaluated on the piece before it, because the basis function ends at its last
-        # knot.
-        before_knot = np.nextafter(ages + 1, 0)
-        parameters = np.minimum(phases + ages, before_knot)
-        shape = (*phases.shape[:-1], 5, self.memory_length)
-        weights = np.zeros(shape)
-        largest_order = min(4, self.degree)
-        for order in range(largest_order + 1):
-            derivative = basis.derivative(order)
-            values = derivative(parameters)
-            values = np.nan_to_num(values)
-            weights[..., order, :] = values / action_period**order
+        fractions = np.asarray(times)[..., None, None, None] / self._action_period
+        powers = fractions ** np.arange(self._series.shape[1])
+        weights: Array = (powers @ self._series)[..., 0, :]
         return weights
-
-
-def action_mapping_to_jsonable(action_mapping: Any) -> dict[str, Any]:
-    """An action mapping as JSON-able data, for :func:`find_action_mapping`."""
-    return {"kind": action_mapping.kind, **asdict(action_mapping)}
-
-
-def find_action_mapping(action_mapping: Shift | str | Mapping[str, Any]) -> Shift:
-    """Returns an action mapping from an object, the kind ``"shift"``, or a dict ``{"kind":
-    "shift", "action_period": …}``.
-
-    Raises:
-        ValueError: if the kind or a key is unknown, or a value is invalid.
-    """
-    if isinstance(action_mapping, Shift):
-        return action_mapping
-    if isinstance(action_mapping, str):
-        action_mapping = {"kind": action_mapping}
-    keys = {"kind", *Shift.__dataclass_fields__}
-    data = mapping("steering", action_mapping, sorted(keys))
-    choice("kind of steering", data.pop("kind", None), [Shift.kind])
-    return record("steering", Shift, data)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,119 +85,99 @@ class Memory:
     """State between two control instants, of one episode or of a batch."""
 
     actions: Array
-    """Last actions, oldest first, (..., memory_length, size). Before the first action, those of a
-    shift to the start pose."""
+    """Last actions, the oldest first, (..., degree + 1, n). Before the first action, those of a shift
+    to the start pose."""
     step: NDArray[np.int64]
-    """Number of control instants since the episode's start, (...)."""
+    """Number of control instants since the start of the episode, (...)."""
     law: Any
-    """State of the base law; None before the first instant."""
+    """State of the steered law; None before the first instant."""
 
 
-class Steering:
-    """A base law with an action mapping: computes the learner's observation and the applied
-    actions.
+class Steering(Observing):
+    """``observing`` with a reference that a learner shifts.
 
     Args:
         robot: nominal robot.
-        base: base law.
-        action_mapping: mapping from a learner's actions to the base law.
-        features: observation of a learner, see :mod:`cablebot_baselines.learned.features`.
-
-    Raises:
-        ValueError: if the law does not support the robot, or a feature is unknown.
     """
 
-    def __init__(
-        self, robot: Robot, *, base: Base, action_mapping: Shift, features: Sequence[str]
-    ) -> None:
-        self.robot = robot
-        self.base = base
-        self.action_mapping = action_mapping
-        self.features = check_features(features, robot)
-        self.law = base.make(robot)
-        self.actions = action_mapping.actions(robot)
-        """Size of an action."""
-        self._start = np.zeros(robot.coordinates)
-        self._prepare(ErrorBounds(), DEFAULT_PERIOD)
-        layout = observation_layout(robot)
-        blocks = self.split(np.zeros(layout.size))
-        memory = self.reset_memory(blocks, None, None)
-        self.inputs = self.observe(blocks, memory).size
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot, payload_prior=PAYLOAD_PRIOR)
+        self._degree = DEGREE[robot.joints]
+        motion = find_trajectory(default_trajectory(robot), robot.kind)
+        self._wanted_period = motion.duration / ACTIONS
+        n = robot.coordinates
+        edges = 2 * len(TIME_CONSTANTS)
+        self.inputs = edges + n * (3 + len(PREVIEWS) + self._degree + 1) + 1 + robot.cables
         """Size of a learner's observation."""
 
-    def _prepare(self, error_bounds: ErrorBounds, period: float) -> None:
-        self._period = period
-        periods = round(self.action_mapping.action_period / period)
-        self.periods = max(1, periods)
-        """Number of control periods per action."""
-        shift = self.action_mapping
-        self._bounds = shift.bounds(error_bounds, self.robot)
-        action_period = self.periods * period
-        # Weights of the control points at each phase of an action period.
-        phases = np.arange(self.periods) * period
-        now = shift.weights(phases, action_period)
-        after = shift.weights(phases + period, action_period)
-        self._motion = now
-        # Torques are constant over a period, so that the law needs the period's mean
-        # acceleration.
-        speed_change = after[:, 1] - now[:, 1]
-        self._mean = speed_change / period
-        # When an action is due, the oldest control point is about to be dropped, and the newest
-        # has zero weight.
-        self._present = now.copy()
-        self._present[0] = np.roll(now[0], 1, axis=-1)
-
     def reset(self, tasks: Sequence[Task]) -> None:
-        """Reads the error bounds, the control frequency and the start poses of the tasks.
+        """Passes the tasks to the law, and computes what a learner sees of their motions.
 
         Raises:
-            ValueError: if the tasks differ in bounds or frequency, or a task's robot is not
-                supported.
+            ValueError: if the tasks differ in error bounds or control frequency, or in the robot from
+                that of the law.
         """
-        self.law.reset(tasks)
         conditions = {(task.error_bounds, task.control_frequency) for task in tasks}
         if len(conditions) != 1:
             raise ValueError(
-                "a learned policy requires the same error bounds and control frequency in all "
-                "episodes"
+                "a steered law needs the same error bounds and control frequency in all episodes"
             )
         error_bounds, frequency = conditions.pop()
-        self._prepare(error_bounds, 1 / frequency)
-        shift_by_motion: dict[int, Array] = {}  # few motions, many tasks
-        shifts = []
-        for task in tasks:
-            motion = task.trajectory
-            if id(motion) not in shift_by_motion:
-                reference = motion(0.0)
-                shift_by_motion[id(motion)] = task.start_pose - reference.position
-            shifts.append(shift_by_motion[id(motion)])
-        self._start = np.array(shifts)
-        ranges = np.ptp(self._start, axis=0)
-        if not ranges.any():
+        super().reset(tasks)
+        self._period = 1 / frequency
+        self.periods = max(1, round(self._wanted_period * frequency))
+        """Number of control periods per action."""
+        self._action_period = self.periods * self._period
+        self._spline = ShiftSpline(self._degree, self._action_period)
+        is_rotation = np.arange(self.robot.coordinates) >= self.robot.dimensions
+        bounds = np.where(is_rotation, error_bounds.rotation, error_bounds.position)
+        self._bounds = FRACTION * bounds
+        first = [task.trajectory(0.0).position for task, _ in self._motions]
+        self._seen = _padded([self._inputs_of(task) for task, _ in self._motions])
+        self._motion = np.zeros(len(tasks), np.int64)
+        start = np.empty((len(tasks), self.robot.coordinates))
+        for index, (task, rows) in enumerate(self._motions):
+            self._motion[rows] = index
+            start[rows] = task.start_pose - first[index]
+        self._start = start / self._bounds
+        if len(self._motions) == 1:  # serves any number of episodes
+            self._motion = self._motion[0]
             self._start = self._start[0]
 
-    def split(self, observation: Any) -> Blocks:
-        """The blocks of an observation by name, each (..., size).
+    def _prepare(self, payloads: Array) -> None:
+        super()._prepare(payloads)
+        self.exact_payloads = payloads / PAYLOAD_PRIOR
+        """Payload of exact tracking, at least the mass of the platform, of each episode, (N,) [kg]."""
 
-        Raises:
-            ValueError: if the observation does not have this robot's layout.
-        """
-        return self.law.split(observation)
+    def _inputs_of(self, task: Task) -> Array:
+        """What a learner sees of a motion at each action, (actions, size)."""
+        motion = task.trajectory
+        layout = observation_layout(self.robot)
+        count = math.ceil(motion.duration / self._action_period)
+        instants = np.arange(count + 1)
+        to_go = motion.duration / self._action_period - instants
+        edges = [np.exp(-span[:, None] / TIME_CONSTANTS) for span in (instants, to_go)]
+        scale = {name: layout.per_scale[part] for name, part in layout.slices().items()}
+        now = motion(instants * self._action_period)
+        values = [
+            *edges,
+            (now.position - self.robot.home) * scale["reference_pose"],
+            now.velocity * scale["reference_velocity"],
+        ]
+        for ahead in (0, *PREVIEWS):
+            later = motion((instants + ahead) * self._action_period)
+            values.append(later.acceleration * scale["reference_acceleration"])
+        return np.concatenate(values, axis=1)
 
-    def reset_memory(self, blocks: Blocks, memory: Memory | None, episode_start: Any) -> Memory:
-        """Resets the memory of the episodes that start."""
-        batch = blocks["pose"].shape[:-1]
-        starts = first_steps(memory, episode_start, batch)
-        if memory is not None and not np.any(starts):
-            return memory
-        actions = np.zeros((*batch, self.action_mapping.memory_length, self.actions))
-        start_action = self._start / self._bounds
-        actions += np.expand_dims(start_action, -2)
+    def started(self, memory: Memory | None, episode_start: Any, shape: tuple[int, ...]) -> Memory:
+        """The memory, in which the episodes that start are new."""
+        starts = first_steps(memory, episode_start, shape)
+        start = np.broadcast_to(self._start, (*shape, self.robot.coordinates))
+        actions = np.repeat(start[..., None, :], self._degree + 1, axis=-2)
         if memory is None:
-            return Memory(actions=actions, step=np.zeros(batch, np.int64), law=None)
-        rows = starts[..., None, None]
+            return Memory(actions=actions, step=np.zeros(shape, np.int64), law=None)
         return Memory(
-            actions=np.where(rows, actions, memory.actions),
+            actions=np.where(starts[..., None, None], actions, memory.actions),
             step=np.where(starts, 0, memory.step),
             law=memory.law,
         )
@@ -265,62 +187,55 @@ class Steering:
         return memory.step % self.periods == 0
 
     def observe(self, blocks: Blocks, memory: Memory) -> Array:
-        """The observation of a learner before its action, (..., features)."""
-        time = memory.step * self._period
-        # The oldest action no longer affects the spline.
-        actions = memory.actions[..., 1:, :]
-        phase = memory.step % self.periods
-        shift = self._spline(self._present[phase], memory)[..., 0, :]
-        values = {
-            **blocks,
-            "time_since_start": decays(time[..., None]),
-            "time_to_go_decays": decays(blocks["time_to_go"]),
-            "actions": actions.reshape(*memory.step.shape, -1),
-            "error": blocks["reference_pose"] + shift - blocks["pose"],
-        }
-        return np.concatenate([values[name] for name in self.features], axis=-1)
+        """The observation of a learner when an action is due, (..., inputs)."""
+        shape = memory.step.shape
+        instant = np.minimum(memory.step // self.periods, self._seen.shape[1] - 1)
+        weights = self._spline.weights(np.array(self._action_period))[0]
+        shift = self._bounds * (weights @ memory.actions)
+        error = (blocks["reference_pose"] + shift - blocks["pose"]) / self._bounds
+        known = np.zeros((*shape, 1 + self.robot.cables))
+        if memory.law is not None:
+            estimate = self.observer.estimate(memory.law.observer)
+            payload = (estimate.mass - self.robot.mass) / self.exact_payloads
+            known = np.column_stack([payload / PAYLOAD_PRIOR, 5 * (estimate.strength - 1)])
+            known = np.where(memory.step[..., None] > 0, known.reshape(*shape, -1), 0.0)
+        past = memory.actions[..., 1:, :].reshape(*shape, -1)
+        values = [self._seen[self._motion, instant], past, error, known]
+        return np.clip(np.concatenate(values, axis=-1), -5.0, 5.0)
 
-    def respond(
+    def steer(
         self, blocks: Blocks, action: Array, memory: Memory, episode_start: Any = None
     ) -> tuple[Array, Memory]:
-        """Returns actions (..., m) and the next memory; ``action`` (..., size) is used where one is
-        :meth:`due`."""
+        """Returns actions (..., m) and the next memory; ``action`` (..., n) is used where one is
+        :meth:`due`. It is clipped to ±1, and its position to the unit ball."""
         due = self.due(memory)
         if np.any(due):
-            # to ±1, and the position to the unit ball
             clipped = np.clip(np.asarray(action, float), -1.0, 1.0)
-            position = clipped[..., :3]
-            length = np.linalg.norm(position, axis=-1, keepdims=True)
-            position /= np.maximum(length, 1.0)
-            later = memory.actions[..., 1:, :]  # without the oldest action
-            moved = np.concatenate([later, clipped[..., None, :]], axis=-2)
-            actions = np.where(due[..., None, None], moved, memory.actions)
-            memory = replace(memory, actions=actions)
+            position = clipped[..., : self.robot.dimensions]
+            position /= np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1.0)
+            moved = np.concatenate([memory.actions[..., 1:, :], clipped[..., None, :]], axis=-2)
+            memory = replace(memory, actions=np.where(due[..., None, None], moved, memory.actions))
+        phase = memory.step % self.periods * self._period
+        blocks = blocks | {"shift_points": memory.actions, "shift_phase": phase[..., None]}
         if memory.law is None:
             episode_start = None
-        shifted = self._shifted_reference(blocks, memory)
-        applied, law = self.law.respond(shifted, memory.law, episode_start)
-        memory = replace(memory, step=memory.step + 1, law=law)
-        return applied, memory
+        applied, law = super().respond(blocks, memory.law, episode_start)
+        return applied, replace(memory, step=memory.step + 1, law=law)
 
-    def _spline(self, weights: Array, memory: Memory) -> Array:
-        """Spline (..., orders, n) from weights (..., orders, memory_length) and the control
-        points."""
-        points = memory.actions * self._bounds
-        result: Array = weights @ points
-        return result
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
+        """The shifted reference at the instant at which the action takes effect."""
+        blocks, _ = super().reference(instant, None)
+        times = instant.blocks["shift_phase"][:, 0] + instant.estimate.delay
+        shift = self._spline.weights(times) @ (instant.blocks["shift_points"] * self._bounds)
+        for order, name in enumerate(REFERENCE):
+            if name in blocks:
+                blocks[name] = blocks[name] + shift[:, order]
+        return blocks, None
 
-    def _shifted_reference(self, blocks: Blocks, memory: Memory) -> Blocks:
-        """The blocks with the shifted reference instead of the reference."""
-        phase = memory.step % self.periods
-        weights = self._motion[phase]
-        if not self.robot.flexible:
-            weights = weights.copy()
-            weights[..., 2, :] = self._mean[phase]
-        motion = self._spline(weights, memory)
-        shifted = dict(blocks)
-        for order, name in enumerate(DERIVATIVES):
-            block = f"reference_{name}"
-            if block in blocks:
-                shifted[block] = motion[..., order, :] + blocks[block]
-        return shifted
+
+def _padded(tables: Sequence[Array]) -> Array:
+    """Tables of different lengths as one array; their last rows are repeated."""
+    length = max(map(len, tables))
+    return np.stack(
+        [np.pad(table, ((0, length - len(table)), (0, 0)), mode="edge") for table in tables]
+    )

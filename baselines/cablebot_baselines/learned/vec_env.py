@@ -3,16 +3,15 @@ compiled batch."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
 import cablebot_gym  # noqa: F401 - registers the ids
-from cablebot_baselines.learned.wrappers.layers import layers
 
 try:
     from stable_baselines3.common.vec_env.base_vec_env import (
@@ -150,7 +149,7 @@ class CableBotVecEnv(VecEnv):
         if attr_name in ("action_space", "observation_space"):
             attr_name = f"single_{attr_name}"
         env_indices = self._all_indices[list(self._get_indices(indices))]
-        for layer in layers(self.env):
+        for layer in _layers(self.env):
             if hasattr(layer, attr_name):
                 return self._items(getattr(layer, attr_name), env_indices)
         raise AttributeError(f"{self.env.unwrapped!r} has no attribute {attr_name!r}")
@@ -170,12 +169,20 @@ class CableBotVecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Whether a ``wrapper_class`` wraps the batch; always false for wrappers of single
         environments."""
-        is_wrapped = any(isinstance(layer, wrapper_class) for layer in layers(self.env))
+        is_wrapped = any(isinstance(layer, wrapper_class) for layer in _layers(self.env))
         return [is_wrapped for _ in self._get_indices(indices)]
 
     def close(self) -> None:
         """Closes the vector environment."""
         self.env.close()
+
+
+def _layers(env: Any) -> Iterator[Any]:
+    """A vector environment and the environments that it wraps, from the outside in."""
+    while isinstance(env, VectorWrapper):
+        yield env
+        env = env.env
+    yield env
 
 
 def make_sb3_vec_env(
