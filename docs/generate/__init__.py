@@ -18,6 +18,7 @@ from generate import (
     robots,
     sources,
     tables,
+    training,
     winches,
 )
 from generate.pages import Pages
@@ -37,7 +38,7 @@ def write_all(app: Sphinx) -> None:
     default values."""
     folder = Path(app.srcdir) / "generated"
     shutil.rmtree(folder, ignore_errors=True)
-    for module in (clients, environments, policies, robots, tables, winches):
+    for module in (clients, environments, policies, robots, tables, training, winches):
         module.write(Pages(folder))
     if app.builder.format == "html":
         report.write(Path(app.outdir))

@@ -172,6 +172,9 @@ def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     )
     for name, values in whole.items():
         assert torch.equal(values, broken[name])
+    assert (tmp_path / "whole" / "progress.csv").read_text().startswith("1,")
+    with pytest.raises(ValueError, match="is for robot 'planar': choose another --out"):
+        plan_training.train_plans(IDS[SPATIAL], out=tmp_path / "whole", steps=2)
 
 
 @pytest.mark.usefixtures("few_motions")

@@ -105,8 +105,8 @@ def test_learner_sees_its_actions_and_the_end_of_the_motion(shifts):
         seen[:, len(TIME_CONSTANTS) : 2 * len(TIME_CONSTANTS)],
     )
     assert_array_equal(since[0], 1.0)
-    assert np.all(np.diff(to_go[:40], axis=0) > 0)
-    assert to_go[40, -1] == pytest.approx(1.0, rel=0.05)
+    assert np.all(np.diff(to_go[:38], axis=0) > 0)
+    assert to_go[38, -1] == pytest.approx(1.0, rel=0.1)
 
 
 def test_tasks_of_a_batch_have_the_same_error_bounds():

@@ -9,7 +9,6 @@ A run's folder contains ``plan.zip``, the weights, ``checkpoint.pt``, from which
 
 from __future__ import annotations
 
-import csv
 import math
 import time
 from dataclasses import replace
@@ -39,7 +38,7 @@ from cablebot_gym.robots import Robot, find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import Step
-from cablebot_gym.utils.files import atomic_write, check_writable_dir
+from cablebot_gym.utils.files import atomic_write, atomic_write_text, check_writable_dir
 
 MOTIONS = 3000
 """Motions of a training, with the seeds from 0."""
@@ -110,7 +109,8 @@ def train_plans(
         progress: function called with the progress.
 
     Raises:
-        ValueError: if an argument is invalid, or the robot has more than one redundant cable.
+        ValueError: if an argument is invalid, the robot has more than one redundant cable, or ``out``
+            has the run of another robot.
     """
     robot = find_robot(env_robot(env_id))
     whole("steps", steps, least=1)
@@ -125,10 +125,9 @@ def train_plans(
         while training.step < steps:
             training.learn()
             if training.step % every == 0 or training.step == steps:
+                row = [training.step, round(training.seconds, 1), *training.curve()]
+                training.progress.append(row)
                 training.save(out)
-                with (out / "progress.csv").open("a", newline="") as file:
-                    row = [training.step, round(training.seconds, 1), *training.curve()]
-                    csv.writer(file).writerow(row)
             if progress is not None:
                 progress(training.step, steps)
     return training.average
@@ -151,6 +150,8 @@ class PlanTraining:
         self.held_out = problems(space, HELD_OUT)
         self.payload = FIRST_PAYLOAD * self.motions.exact
         """Present payload of each motion but for the factor, (N,) [kg]."""
+        self.progress: list[list[float]] = []
+        """Steps, processor seconds and payloads on the motions that are not trained on [kg]."""
         self.factors = torch.ones(len(LEVELS), dtype=torch.float64)
         """Factors of all payloads at each level of margins."""
         self._random = np.random.default_rng(seed)
@@ -253,21 +254,32 @@ class PlanTraining:
         return [round(value, 3) for value in low.tolist()]
 
     def save(self, out: Path) -> None:
-        """Writes the checkpoint and the weights of the average."""
+        """Writes the checkpoint, the weights of the average and the progress."""
         state = {name: getattr(self, name) for name in _STATE}
         state |= {name: getattr(self, name).state_dict() for name in _MODULES}
         state["random"] = self._random.bit_generator.state
+        state["robot"] = self.space.robot.name
         atomic_write(out / "checkpoint.pt", partial(torch.save, state))
         buffer = BytesIO()  # in a file's archive, torch writes the name of the file
         torch.save(self.average.state_dict(), buffer)
         atomic_write(out / "plan.zip", lambda file: file.write_bytes(buffer.getvalue()))
+        lines = [",".join(map(str, row)) + "\n" for row in self.progress]
+        atomic_write_text(out / "progress.csv", "".join(lines))
 
     def load(self, out: Path) -> None:
-        """Continues from the checkpoint of a folder, if there is one."""
+        """Continues from the checkpoint of a folder, if there is one.
+
+        Raises:
+            ValueError: if it is that of another robot.
+        """
         path = out / "checkpoint.pt"
         if not path.exists():
             return
         state = torch.load(path, weights_only=True)
+        if state["robot"] != self.space.robot.name:
+            raise ValueError(
+                f"the run in {str(out)!r} is for robot {state['robot']!r}: choose another --out"
+            )
         for name in _STATE:
             setattr(self, name, state[name])
         for name in _MODULES:
@@ -275,7 +287,7 @@ class PlanTraining:
         self._random.bit_generator.state = state["random"]
 
 
-_STATE = ("step", "seconds", "payload", "factors")
+_STATE = ("step", "seconds", "payload", "factors", "progress")
 _MODULES = ("network", "average", "_optimiser")
 
 

@@ -20,13 +20,12 @@ from cablebot_baselines.laws.law import Array
 from cablebot_baselines.laws.observer_law import REFERENCE, Instant
 from cablebot_baselines.laws.observing import Observing
 from cablebot_gym.envs.observation import Blocks, observation_layout
-from cablebot_gym.envs.settings import default_trajectory
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
 ACTIONS = 40
-"""Number of actions in the default motion of a robot."""
+"""Number of actions in a random loop."""
 
 FRACTION = 0.8
 """Largest shift as a fraction of the error bounds."""
@@ -103,7 +102,7 @@ class Steering(Observing):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot, payload_prior=PAYLOAD_PRIOR)
         self._degree = DEGREE[robot.joints]
-        motion = find_trajectory(default_trajectory(robot), robot.kind)
+        motion = find_trajectory({"name": f"loop-{robot.kind}", "seed": 0}, robot.kind)
         self._wanted_period = motion.duration / ACTIONS
         n = robot.coordinates
         edges = 2 * len(TIME_CONSTANTS)

@@ -1,0 +1,73 @@
+"""Learning curves of the shipped policies, from the cards beside their weights."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.stats import bootstrap, trim_mean
+
+from cablebot_baselines.learned.shipped import WEIGHTS
+from cablebot_gym import ENV_IDS
+from cablebot_gym.benchmark.tables import markdown_table
+from cablebot_gym.plotting.figures import DPI
+from generate.pages import Pages
+
+interquartile_mean = partial(trim_mean, proportiontocut=0.25)
+
+
+def write(pages: Pages) -> None:
+    """Writes a table and a figure for each kind of network."""
+    for kind, label in (
+        ("plan", "payload as a fraction of the optimum"),
+        ("ppo", "payload in payloads of exact tracking"),
+    ):
+        cards = cards_of(kind)
+        pages.write(f"training-{kind}.inc", table(cards))
+        curves(cards, label).savefig(pages.path(f"training-{kind}.png"), dpi=DPI)
+
+
+def cards_of(kind: str) -> dict[str, Any]:
+    """Cards by the id of the environment."""
+    paths = {env_id: WEIGHTS / f"{kind}-{env_id}.json" for env_id in ENV_IDS}
+    return {
+        env_id: json.loads(path.read_text(encoding="utf-8"))
+        for env_id, path in paths.items()
+        if path.exists()
+    }
+
+
+def table(cards: dict[str, Any]) -> str:
+    """Payloads of all seeds, and the command of the one that ships."""
+    rows = [["", "seeds", "minutes", "payload: IQM [95 %]", "of the shipped seed", "its command"]]
+    for env_id, card in cards.items():
+        runs = card["runs"]
+        values = np.concatenate([run["last"] for run in runs])
+        middle = f"{interquartile_mean(values):.3f}"
+        if len(values) > 1:
+            interval = bootstrap((values,), interquartile_mean, rng=0).confidence_interval
+            middle += f" [{interval.low:.3f}, {interval.high:.3f}]"
+        minutes = np.median([run["minutes"][-1] for run in runs])
+        shipped = np.mean(runs[card["seed"]]["last"])
+        cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, f"{shipped:.3f}"]
+        rows.append([*cells, f"`{card['command']}`"])
+    return markdown_table(rows)
+
+
+def curves(cards: dict[str, Any], label: str) -> Figure:
+    """Payload over the processor time of a core, a line for each seed."""
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for index, (env_id, card) in enumerate(cards.items()):
+        for run in card["runs"]:
+            axes.plot(run["minutes"], run["payload"], f"C{index}", lw=1.2, label=env_id)
+            env_id = f"_{env_id}"  # one entry of the legend
+    axes.set_xlabel("time of one core [min]")
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0.0)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize="small")
+    return figure
