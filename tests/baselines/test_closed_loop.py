@@ -13,7 +13,7 @@ from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
 
 ENTRIES = policy_entries().values()
 PLANNERS = ("trajopt", "learned-plan", "refined-plan")
-LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", *PLANNERS)
+LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", "ppo", *PLANNERS)
 """Policies that estimate or plan, and those with the short physics steps of joint springs."""
 
 

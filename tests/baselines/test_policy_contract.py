@@ -20,7 +20,7 @@ PLANNERS = ("trajopt", "learned-plan", "refined-plan")
 CASES = [
     *(
         pytest.param(
-            name, env_id, marks=pytest.mark.landing if name in ("nmpc", "observing") else ()
+            name, env_id, marks=pytest.mark.landing if name in ("nmpc", "observing", "ppo") else ()
         )
         for name, entry in ENTRIES.items()
         if name not in PLANNERS
@@ -91,7 +91,7 @@ def test_row_of_a_batch_acts_as_an_episode_alone(name, env_id):
     assert np.ptp(actions, axis=1).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", ["nmpc", "observing", *PLANNERS])
+@pytest.mark.parametrize("name", ["nmpc", "observing", "ppo", *PLANNERS])
 def test_policy_for_the_motions_of_its_tasks_raises_before_reset(name):
     observation, _ = gym.make("CableBot-Planar-v0").reset(seed=0)
     with pytest.raises(RuntimeError, match=r"call reset\(tasks\) before predict\(\)"):

@@ -155,8 +155,7 @@ class ObserverLaw(ClassicalLaw):
         Raises:
             RuntimeError: before the first :meth:`reset`.
         """
-        if not self._tasks:
-            raise RuntimeError("call reset(tasks) before predict(): the tasks have the motions")
+        self._check_reset()
         shape = blocks["pose"].shape[:-1]
         rows = blocks
         if not shape:
@@ -184,6 +183,10 @@ class ObserverLaw(ClassicalLaw):
             requested[acting], action[acting] = self._act(law, of_law, estimate.of(acting))
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
+
+    def _check_reset(self) -> None:
+        if not self._tasks:
+            raise RuntimeError("call reset(tasks) before predict(): the tasks have the motions")
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
         """Blocks of the reference at the instant at which the action takes effect, and the memory

@@ -169,7 +169,12 @@ class Steering(Observing):
         return np.concatenate(values, axis=1)
 
     def started(self, memory: Memory | None, episode_start: Any, shape: tuple[int, ...]) -> Memory:
-        """The memory, in which the episodes that start are new."""
+        """The memory, in which the episodes that start are new.
+
+        Raises:
+            RuntimeError: before the first :meth:`reset`.
+        """
+        self._check_reset()
         starts = first_steps(memory, episode_start, shape)
         start = np.broadcast_to(self._start, (*shape, self.robot.coordinates))
         actions = np.repeat(start[..., None, :], self._degree + 1, axis=-2)
