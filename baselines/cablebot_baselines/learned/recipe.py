@@ -21,7 +21,7 @@ from cablebot_baselines.learned.vec_env import CableBotVecEnv
 N_ENVS = 512
 """Robots that step together."""
 
-TIMESTEPS = 1_500_000
+TIMESTEPS = 800_000
 """Actions of a training over all robots."""
 
 GAMMA = 0.995
