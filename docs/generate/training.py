@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,6 @@ from cablebot_gym import ENV_IDS
 from cablebot_gym.benchmark.tables import markdown_table
 from cablebot_gym.plotting.figures import DPI
 from generate.pages import Pages
-
-interquartile_mean = partial(trim_mean, proportiontocut=0.25)
 
 
 def write(pages: Pages) -> None:
@@ -45,16 +42,21 @@ def table(cards: dict[str, Any]) -> str:
     rows = [["", "seeds", "minutes", "payload: IQM [95 %]", "of the shipped seed", "its command"]]
     for env_id, card in cards.items():
         runs = card["runs"]
-        values = np.concatenate([run["last"] for run in runs])
+        values: Any = np.concatenate([run["last"] for run in runs])
         middle = f"{interquartile_mean(values):.3f}"
         if len(values) > 1:
-            interval = bootstrap((values,), interquartile_mean, rng=0).confidence_interval
+            interval = bootstrap([values], interquartile_mean, rng=0).confidence_interval
             middle += f" [{interval.low:.3f}, {interval.high:.3f}]"
         minutes = np.median([run["minutes"][-1] for run in runs])
         shipped = np.mean(runs[card["seed"]]["last"])
         cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, f"{shipped:.3f}"]
         rows.append([*cells, f"`{card['command']}`"])
     return markdown_table(rows)
+
+
+def interquartile_mean(values: Any, axis: int = -1) -> Any:
+    """Mean of the middle half."""
+    return trim_mean(values, 0.25, axis=axis)
 
 
 def curves(cards: dict[str, Any], label: str) -> Figure:

@@ -32,7 +32,7 @@ class NetworkProgram:
         trajectory: reference motion.
         margins: margins of the first plan.
         lightest: payload for which a plan must be feasible too [kg].
-        refine: whether plans with margins over time are refined by Gauss–Newton steps.
+        refine: whether all plans but the first one are refined by Gauss–Newton steps.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class NetworkProgram:
         self._problem = space.problem(trajectory)
 
     def solve(self) -> PlannedMotion:
-        """The plan with the first margins.
+        """The first plan, of the network alone.
 
         Raises:
-            Infeasible: as :meth:`resolve`.
+            Infeasible: if no plan passes its own check.
         """
-        return self.resolve(self._margins, None)
+        plan, _ = self._planned(self._margins, None)
+        return plan
 
-    @torch.no_grad()
     def resolve(self, margins: Margins, profile: MarginProfile | None = None) -> PlannedMotion:
         """The plan for the heaviest payload of many that passes its own check.
 
@@ -69,17 +69,24 @@ class NetworkProgram:
         Raises:
             Infeasible: if none does.
         """
+        plan, at_nodes = self._planned(margins, profile)
+        if self._refine:
+            plan = self._best(plan.payload * REFINED, at_nodes, margins, refine=True) or plan
+        return plan
+
+    def _planned(
+        self, margins: Margins, profile: MarginProfile | None
+    ) -> tuple[PlannedMotion, Tensor]:
+        """The network's plan for the heaviest payload, and the margins at the control points."""
         duration = self._trajectory.duration
         at_nodes = self._space.node_margins(margins, profile, duration)
         plan = self._best(float(self._problem.exact[0]) * COARSE, at_nodes, margins)
         if plan is None:
             raise Infeasible("the network plans no feasible motion")
         finer = plan.payload * np.geomspace(1.0, COARSE[1] / COARSE[0], FINE + 1)[1:-1]
-        plan = self._best(finer, at_nodes, margins) or plan
-        if self._refine and profile is not None:
-            plan = self._best(plan.payload * REFINED, at_nodes, margins, refine=True) or plan
-        return plan
+        return self._best(finer, at_nodes, margins) or plan, at_nodes
 
+    @torch.no_grad()
     def _best(
         self, payloads: Array, at_nodes: Tensor, margins: Margins, *, refine: bool = False
     ) -> PlannedMotion | None:

@@ -98,15 +98,28 @@ class PlanProgram(Protocol):
         """
 
 
+class FirstPlan(Protocol):
+    """Makes a program and its first plan."""
+
+    def __call__(
+        self, robot: Robot, task: Task, margins: Margins, lightest: float, *, final: bool = False
+    ) -> tuple[PlanProgram, PlannedMotion]:
+        """The program of a robot and a task, and its plan with some margins, which is feasible from a
+        lightest payload [kg] to its own. No other plan follows a final one.
+
+        Raises:
+            Infeasible: if there is none.
+        """
+
+
 @dataclass(frozen=True, kw_only=True)
 class Planner:
     """How plans are made."""
 
     name: str
     """Name of the policy."""
-    first: Callable[[Robot, Task, Margins, float], tuple[PlanProgram, PlannedMotion]]
-    """Makes the program of a robot and a task, and its plan with some margins, which is feasible from
-    a lightest payload [kg] to its own."""
+    first: FirstPlan
+    """Makes the first plan."""
     module: str
     """Module of ``first``; a change of its code makes cached plans again."""
     key: str = ""
@@ -139,7 +152,7 @@ class Planner:
 
 
 def first_optimum(
-    robot: Robot, task: Task, margins: Margins, lightest: float
+    robot: Robot, task: Task, margins: Margins, lightest: float, *, final: bool = False
 ) -> tuple[MotionProgram, PlannedMotion]:
     """The nonlinear program, and its solution.
 

@@ -175,7 +175,7 @@ class TrajOpt:
         margins = exact_margins(self.robot, task.error_bounds)
 
         def make() -> PlannedMotion:
-            return self.planner.first(self.robot, task, margins, 0.0)[1]
+            return self.planner.first(self.robot, task, margins, 0.0, final=True)[1]
 
         plan = self.planner.cached(replace(task, robot=self.robot), make, margins=margins)
         joints = self.robot.joints
