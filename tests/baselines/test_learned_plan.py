@@ -22,7 +22,7 @@ from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning import MarginProfile, Margins
 from cablebot_gym.policies import load_policy
-from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL, find_robot
+from cablebot_gym.robots import FLEX_PLANAR, FLEX_SPATIAL, PLANAR, SPATIAL, find_robot
 from cablebot_gym.task import find_error_bounds
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -31,6 +31,7 @@ IDS = {
     PLANAR: "CableBot-Planar-v0",
     SPATIAL: "CableBot-Spatial-v0",
     FLEX_PLANAR: "CableBot-FlexPlanar-v0",
+    FLEX_SPATIAL: "CableBot-FlexSpatial-v0",
 }
 MARGINS = Margins(position=5e-4, rotation=5e-4, action=0.02, tension=2.0)
 
@@ -58,7 +59,7 @@ def plan_of(robot, margins=MARGINS):
     return NetworkProgram(network, space, loop(robot), margins=margins, lightest=0.0).solve()
 
 
-@each_of(PLANAR, SPATIAL, FLEX_PLANAR)
+@each_of(*IDS)
 def test_spline_follows_the_reference_from_the_start_of_the_task(robot):
     space = space_of(robot)
     margins = space.node_margins(Margins(), None, loop(robot).duration)
@@ -103,7 +104,7 @@ def test_plan_keeps_its_limits_on_an_exactly_known_robot(robot):
     assert policy.fallbacks == 0
 
 
-@each_of(FLEX_PLANAR)
+@each_of(FLEX_PLANAR, FLEX_SPATIAL)
 def test_motor_angles_balance_the_platform_along_the_plan(robot):
     plan = plan_of(robot, Margins())
     times = np.linspace(0.2, plan.duration - 0.2, 50)
