@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cablebot_baselines.learned.plan_network import PlanNetwork, control_points
+from cablebot_baselines.learned.plan_network import PlanNetwork
 from cablebot_baselines.learned.plan_space import TOLERANCE, PlanSpace, largest_violation
 from cablebot_baselines.learned.refinement import refined
 from cablebot_gym.kinematics import Array
@@ -70,8 +70,11 @@ class NetworkProgram:
             Infeasible: if none does.
         """
         plan, at_nodes = self._planned(margins, profile)
-        if self._refine:
-            plan = self._best(plan.payload * REFINED, at_nodes, margins, refine=True) or plan
+        heaviest = plan.payload
+        while self._refine and plan.payload == heaviest:
+            payloads = plan.payload * REFINED
+            heaviest = payloads[-1]
+            plan = self._best(payloads, at_nodes, margins, refine=True) or plan
         return plan
 
     def _planned(
@@ -96,11 +99,11 @@ class NetworkProgram:
         problem = self._problem[torch.zeros(count, dtype=torch.int64)]
         pairs = torch.tensor([[self._lightest, payload] for payload in payloads])
         query = space.query(problem, pairs, at_nodes.expand(count, -1, -1))
-        points = control_points(space, query, self._network.plan(query))
+        points, violations = self._network.plan(query)
         if refine:
             points = refined(space, query, points)
-        parts = space.violations(query, points, space.checks)
-        feasible = np.flatnonzero(largest_violation(parts).numpy() < TOLERANCE)
+            violations = largest_violation(space.violations(query, points, space.checks))
+        feasible = np.flatnonzero(violations.numpy() < TOLERANCE)
         if len(feasible) == 0:
             return None
         best = feasible[-1:]

@@ -13,10 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from cablebot_baselines.learned.plan_space import PlanQuery, PlanSpace
+from cablebot_baselines.learned.plan_space import PlanQuery, PlanSpace, largest_violation
 
 PASSES = 3
-"""Passes of a plan."""
+"""Passes of a plan in a training; a finished plan has one more where that is better."""
 
 REACH = 1.05
 """Largest deviation of a control point in units of the error bounds: a spline stays within its control
@@ -86,12 +86,26 @@ class PlanNetwork(nn.Module):
         return moves + change
 
     @torch.no_grad()
-    def plan(self, query: PlanQuery, passes: int = PASSES) -> Tensor:
+    def moves(self, query: PlanQuery, passes: int) -> Tensor:
         """The moves of the control points after several passes from the references."""
         moves = no_moves(query)
         for _ in range(passes):
             moves = self(query, moves)
         return moves
+
+    @torch.no_grad()
+    def plan(self, query: PlanQuery) -> tuple[Tensor, Tensor]:
+        """Control points of finished plans, see :func:`control_points`, and their largest violations
+        at the instants of :attr:`PlanSpace.checks`, (N,)."""
+        space = self._space
+        moves = self.moves(query, PASSES)
+        plans = [control_points(space, query, each) for each in (moves, self(query, moves))]
+        violations = [
+            largest_violation(space.violations(query, points, space.checks)) for points in plans
+        ]
+        is_better = violations[1] < violations[0]
+        points = torch.where(is_better[:, None, None], plans[1], plans[0])
+        return points, torch.minimum(*violations)
 
 
 def no_moves(query: PlanQuery) -> Tensor:

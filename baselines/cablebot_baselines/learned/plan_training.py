@@ -180,7 +180,7 @@ class PlanTraining:
         pair = torch.stack([lightest, payload], dim=1)
         query = space.query(problem, pair, margins)
         passes = int(random.integers(PASSES))
-        moves = self.network(query, self.network.plan(query, passes))
+        moves = self.network(query, self.network.moves(query, passes))
         points = control_points(space, query, moves)
         reserved = replace(query, margins=margins + space.reserve)
         parts = space.violations(reserved, points, space.stages)
@@ -245,10 +245,8 @@ class PlanTraining:
             payload = (low + high) / 2
             pair = torch.stack([torch.zeros_like(payload), payload], dim=1)
             query = self.space.query(problem, pair, margins)
-            points = control_points(self.space, query, self.average.plan(query))
-            with torch.no_grad():
-                parts = self.space.violations(query, points, self.space.checks)
-            carried = largest_violation(parts) < TOLERANCE
+            _, violations = self.average.plan(query)
+            carried = violations < TOLERANCE
             low = torch.where(carried, payload, low)
             high = torch.where(carried, high, payload)
         return [round(value, 3) for value in low.tolist()]
