@@ -23,8 +23,10 @@ def write(pages: Pages) -> None:
         ("ppo", "payload in payloads of exact tracking"),
     ):
         cards = cards_of(kind)
-        pages.write(f"training-{kind}.inc", table(cards))
-        curves(cards, label).savefig(pages.path(f"training-{kind}.png"), dpi=DPI)
+        picture = f"training-{kind}.png"
+        curves(cards, label).savefig(pages.path(picture), dpi=DPI)
+        text = f"{table(cards)}\n![{label} over training time](/generated/{picture})\n"
+        pages.write(f"training-{kind}.inc", text)
 
 
 def cards_of(kind: str) -> dict[str, Any]:

@@ -104,6 +104,7 @@ def test_plan_keeps_its_limits_on_an_exactly_known_robot(robot):
     assert policy.fallbacks == 0
 
 
+@pytest.mark.landing
 @each_of(FLEX_PLANAR, FLEX_SPATIAL)
 def test_motor_angles_balance_the_platform_along_the_plan(robot):
     plan = plan_of(robot, Margins())
