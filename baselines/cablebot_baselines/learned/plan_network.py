@@ -96,7 +96,7 @@ class PlanNetwork(nn.Module):
     @torch.no_grad()
     def plan(self, query: PlanQuery) -> tuple[Tensor, Tensor]:
         """Control points of finished plans, see :func:`control_points`, and their largest violations
-        at the instants of :attr:`PlanSpace.checks`, (N,)."""
+        at the instants of a check, (N,)."""
         space = self._space
         moves = self.moves(query, PASSES)
         plans = [control_points(space, query, each) for each in (moves, self(query, moves))]
