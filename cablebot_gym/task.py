@@ -38,6 +38,11 @@ class ErrorBounds:
             value = number(f"error_bounds.{field.name}", getattr(self, field.name), above=0)
             object.__setattr__(self, field.name, value)
 
+    def of_coordinates(self, robot: Robot) -> Array:
+        """Bound of each coordinate, (n,) [m, rad]."""
+        is_angle = np.arange(robot.coordinates) >= robot.dimensions
+        return np.where(is_angle, self.rotation, self.position)
+
     @property
     def termination_radius(self) -> float:
         """Position error beyond which the environment terminates an episode [m]; at least twice the

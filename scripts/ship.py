@@ -17,14 +17,16 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
+from cablebot_baselines.learned.plan_training import HELD_OUT
 from cablebot_baselines.learned.shipped import WEIGHTS
+from cablebot_baselines.planners.rehearsed import first_optimum
 from cablebot_gym.envs import env_robot
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.planning import MotionProgram
+from cablebot_gym.motions import random_loop
+from cablebot_gym.planning import Margins
 from cablebot_gym.robots import find_robot
-from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.files import atomic_write_text, json_text
 
 
@@ -48,27 +50,18 @@ def plan_runs(env_id: str, folders: list[Path]) -> list[dict[str, Any]]:
 
 def optima(env_id: str) -> list[float]:
     """Optimal payloads of the held-out motions, without margins [kg]."""
-    from cablebot_baselines.learned.plan_training import HELD_OUT
-    from cablebot_baselines.planners.rehearsed import intervals_of
-
     robot = find_robot(env_robot(env_id))
     payloads = []
     for seed in HELD_OUT:
-        motion = find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind)
-        program = MotionProgram(
-            robot,
-            motion,
-            find_error_bounds(None, robot),
-            intervals=intervals_of(robot, motion),
-            lightest=0.0,
-            period=1 / 500,
-        )
-        payloads.append(program.solve().payload)
-        print(f"optimum of motion {seed}: {payloads[-1]:.3f} kg", flush=True)
+        motion = random_loop(robot.kind, seed)
+        task = gym.make(env_id, trajectory=motion).unwrapped.task
+        _, plan = first_optimum(robot, task, Margins(), 0.0)
+        payloads.append(plan.payload)
+        print(f"optimum of motion {seed}: {plan.payload:.3f} kg", flush=True)
     return payloads
 
 
-def ppo_runs(env_id: str, folders: list[Path]) -> list[dict[str, Any]]:
+def ppo_runs(folders: list[Path]) -> list[dict[str, Any]]:
     """Learning curves of ``train``."""
     runs = []
     for folder in folders:
@@ -90,7 +83,7 @@ def ppo_runs(env_id: str, folders: list[Path]) -> list[dict[str, Any]]:
 
 def ship(kind: str, env_id: str, folders: list[Path]) -> None:
     """Writes the weights and the card."""
-    runs = plan_runs(env_id, folders) if kind == "plan" else ppo_runs(env_id, folders)
+    runs = plan_runs(env_id, folders) if kind == "plan" else ppo_runs(folders)
     order = sorted(range(len(runs)), key=lambda seed: np.mean(runs[seed]["last"]))
     seed = order[(len(order) - 1) // 2]
     command, option = {"plan": ("train-plan", "steps"), "ppo": ("train", "timesteps")}[kind]

@@ -35,7 +35,12 @@ from cablebot_gym.motions.loops import (
     RandomLoop,
     held_out_seeds,
 )
-from cablebot_gym.motions.names import TRAJECTORIES, find_trajectory, trajectory_names
+from cablebot_gym.motions.names import (
+    TRAJECTORIES,
+    find_trajectory,
+    random_loop,
+    trajectory_names,
+)
 from cablebot_gym.motions.sequences import BetweenDwells
 from cablebot_gym.motions.spline import Waypoints
 
@@ -56,6 +61,7 @@ __all__ = [
     "Waypoints",
     "find_trajectory",
     "held_out_seeds",
+    "random_loop",
     "sampled",
     "trajectory_names",
 ]

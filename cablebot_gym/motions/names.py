@@ -169,6 +169,11 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
 ``paper-…``, the paper's circles as printed, and ``dwell-…``."""
 
 
+def random_loop(kind: str, seed: int) -> Trajectory:
+    """The random loop of a seed between dwells, for a kind of robots."""
+    return find_trajectory({"name": f"loop-{kind}", "seed": seed}, kind)
+
+
 def trajectory_names(kind: Robot | int | str | None = None) -> list[str]:
     """Names in :data:`TRAJECTORIES`.
 

@@ -231,8 +231,7 @@ class MotionProgram:
         knots = clamped_knots(self._trajectory.duration, intervals, degree)
         poses = self._trajectory(greville(knots, degree)).position
         base = interpolate(knots, degree, poses)
-        is_angle = np.arange(self._robot.coordinates) >= self._robot.dimensions
-        bounds = np.where(is_angle, self._error_bounds.rotation, self._error_bounds.position)
+        bounds = self._error_bounds.of_coordinates(self._robot)
         return Spline(knots, degree, self._take(*base.shape), base, bounds)
 
     def _motor_spline(self, intervals: int) -> Spline:

@@ -154,9 +154,7 @@ class PlanSpace:
         """The instants of the error bounds."""
         fit = self._basis(np.linspace(0.0, 1.0, FIT_SAMPLES))
         self._fit = np.linalg.pinv(fit.matrices[0].numpy())
-        bounds = [error_bounds.position] * robot.dimensions
-        bounds += [error_bounds.rotation] * (robot.coordinates - robot.dimensions)
-        self.bounds = torch.tensor(bounds, dtype=_FLOAT)
+        self.bounds = torch.tensor(error_bounds.of_coordinates(robot), dtype=_FLOAT)
         """Error bound of each coordinate, (n,) [m, rad]."""
         self.tension = TENSION * float((robot.stall_torque / robot.pulley_radius).mean())
         """Unit of missing tensions [N]."""

@@ -32,9 +32,10 @@ from cablebot_baselines.learned.plan_space import (
 from cablebot_baselines.learned.training import one_thread
 from cablebot_gym.envs import env_robot
 from cablebot_gym.envs.settings import default_trajectory
-from cablebot_gym.motions import Trajectory, find_trajectory
+from cablebot_gym.kinematics import Array
+from cablebot_gym.motions import Trajectory, find_trajectory, random_loop
 from cablebot_gym.motions.loops import TRAINING_SEEDS
-from cablebot_gym.robots import Robot, find_robot
+from cablebot_gym.robots import find_robot
 from cablebot_gym.task import find_error_bounds
 from cablebot_gym.utils.checks import whole
 from cablebot_gym.utils.console import Step
@@ -290,25 +291,26 @@ _MODULES = ("network", "average", "_optimiser")
 
 
 def problems(space: PlanSpace, seeds: range, progress: Step | None = None) -> PlanProblem:
-    """The random motions of some seeds as one problem."""
+    """The random motions of some seeds as one problem. Some of those for training are moved."""
+    robot = space.robot
+    default = find_trajectory(default_trajectory(robot), robot.kind)
+    middle = default(np.linspace(0.0, default.duration, 50)).position.mean(0)
     problem = []
     for index, seed in enumerate(seeds):
-        problem.append(space.problem(_motion(space.robot, seed)))
+        motion = random_loop(robot.kind, seed)
+        if seed in TRAINING_SEEDS and seed % MOVED == 0:
+            motion = _moved(motion, middle, seed)
+        problem.append(space.problem(motion))
         if progress is not None:
             progress(index + 1, len(seeds), "motions")
     return PlanProblem.joined(problem)
 
 
-def _motion(robot: Robot, seed: int) -> Trajectory:
-    """The random motion of a seed. Some of those for training are moved."""
-    motion: Any = find_trajectory({"name": f"loop-{robot.kind}", "seed": seed}, robot.kind)
-    if seed % MOVED or seed not in TRAINING_SEEDS:
-        return motion
-    default = find_trajectory(default_trajectory(robot), robot.kind)
-    poses = default(np.linspace(0.0, default.duration, 50)).position
+def _moved(motion: Any, middle: Array, seed: int) -> Trajectory:
+    """A random loop whose center is moved towards a pose, or away from it."""
     center = np.array(motion.motion.center)
-    away = np.random.default_rng(seed).uniform(-FARTHEST, FARTHEST, robot.coordinates)
-    moved = center + away * (poses.mean(0) - center)
+    away = np.random.default_rng(seed).uniform(-FARTHEST, FARTHEST, len(center))
+    moved = center + away * (middle - center)
     loop = replace(motion.motion, center=tuple(moved.tolist()))
     return replace(motion, motion=loop)
 

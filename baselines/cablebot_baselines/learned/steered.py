@@ -19,7 +19,7 @@ from cablebot_baselines.laws.law import Array
 from cablebot_baselines.laws.observer_law import UNCERTAINTY
 from cablebot_baselines.learned.steering import Memory, Steering
 from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
-from cablebot_gym.motions import Trajectory, find_trajectory
+from cablebot_gym.motions import Trajectory, random_loop
 from cablebot_gym.motions.loops import TRAINING_SEEDS
 from cablebot_gym.utils.checks import numbers, whole
 
@@ -160,9 +160,7 @@ class Steered(_Wrapper):
     def _draw_motions(self) -> None:
         kind = self._base_env.settings.robot.kind
         seeds = self._random.choice(len(TRAINING_SEEDS), min(MOTIONS, self.num_envs), replace=False)
-        self._motions = [
-            find_trajectory({"name": f"loop-{kind}", "seed": int(seed)}, kind) for seed in seeds
-        ]
+        self._motions = [random_loop(kind, int(seed)) for seed in seeds]
         everyone = np.ones(self.num_envs, np.bool_)
         self._restart(everyone, np.zeros(self.num_envs))
         self.steering.reset(self._base_env.tasks)

@@ -20,7 +20,7 @@ from cablebot_baselines.laws.law import Array
 from cablebot_baselines.laws.observer_law import REFERENCE, Instant
 from cablebot_baselines.laws.observing import Observing
 from cablebot_gym.envs.observation import Blocks, observation_layout
-from cablebot_gym.motions import find_trajectory
+from cablebot_gym.motions import random_loop
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 
@@ -102,8 +102,7 @@ class Steering(Observing):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot, payload_prior=PAYLOAD_PRIOR)
         self._degree = DEGREE[robot.joints]
-        motion = find_trajectory({"name": f"loop-{robot.kind}", "seed": 0}, robot.kind)
-        self._wanted_period = motion.duration / ACTIONS
+        self._wanted_period = random_loop(robot.kind, 0).duration / ACTIONS
         n = robot.coordinates
         edges = 2 * len(TIME_CONSTANTS)
         self.inputs = edges + n * (3 + len(PREVIEWS) + self._degree + 1) + 1 + robot.cables
@@ -128,9 +127,7 @@ class Steering(Observing):
         """Number of control periods per action."""
         self._action_period = self.periods * self._period
         self._spline = ShiftSpline(self._degree, self._action_period)
-        is_rotation = np.arange(self.robot.coordinates) >= self.robot.dimensions
-        bounds = np.where(is_rotation, error_bounds.rotation, error_bounds.position)
-        self._bounds = FRACTION * bounds
+        self._bounds = FRACTION * error_bounds.of_coordinates(self.robot)
         first = [task.trajectory(0.0).position for task, _ in self._motions]
         self._seen = _padded([self._inputs_of(task) for task, _ in self._motions])
         self._motion = np.zeros(len(tasks), np.int64)
