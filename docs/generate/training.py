@@ -18,13 +18,13 @@ from generate.pages import Pages
 
 def write(pages: Pages) -> None:
     """Writes a table and a figure for each kind of network."""
-    for kind, label in (
-        ("plan", "payload as a fraction of the optimum"),
-        ("ppo", "payload in payloads of exact tracking"),
+    for kind, label, time in (
+        ("plan", "payload as a fraction of the optimum", "processor time"),
+        ("ppo", "payload in payloads of exact tracking", "time"),
     ):
         cards = cards_of(kind)
         picture = f"training-{kind}.png"
-        curves(cards, label).savefig(pages.path(picture), dpi=DPI)
+        curves(cards, label, time).savefig(pages.path(picture), dpi=DPI)
         text = f"{table(cards)}\n![{label} over training time](/generated/{picture})\n"
         pages.write(f"training-{kind}.inc", text)
 
@@ -61,15 +61,15 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
     return trim_mean(values, 0.25, axis=axis)
 
 
-def curves(cards: dict[str, Any], label: str) -> Figure:
-    """Payload over the processor time of a core, a line for each seed."""
+def curves(cards: dict[str, Any], label: str, time: str) -> Figure:
+    """Payload over time, a line for each seed."""
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     axes = figure.subplots()
     for index, (env_id, card) in enumerate(cards.items()):
         for run in card["runs"]:
             axes.plot(run["minutes"], run["payload"], f"C{index}", lw=1.2, label=env_id)
             env_id = f"_{env_id}"  # one entry of the legend
-    axes.set_xlabel("time of one core [min]")
+    axes.set_xlabel(f"{time} [min]")
     axes.set_ylabel(label)
     axes.set_ylim(bottom=0.0)
     axes.grid(alpha=0.3)

@@ -16,6 +16,7 @@ from cablebot_baselines.learned.steered import PayloadCurriculum, Steered
 from cablebot_baselines.learned.steered_policy import SteeredPolicy
 from cablebot_baselines.learned.steering import FRACTION, TIME_CONSTANTS, ShiftSpline, Steering
 from cablebot_gym import ENV_IDS
+from cablebot_gym.envs.observation import observation_layout
 from cablebot_gym.task import ErrorBounds
 
 PLANAR, SPATIAL = "CableBot-Planar-v0", "CableBot-Spatial-v0"
@@ -60,7 +61,7 @@ def shifts(monkeypatch):
         steering.reset(tasks)
         memory = None
         found, seen = [], []
-        blocks = steering.split(np.zeros((2, steering.split_size)))
+        blocks = steering.split(np.zeros((2, observation_layout(steering.robot).size)))
         for action in actions:
             memory = steering.started(memory, None, (2,))
             seen.append(steering.observe(blocks, memory))
@@ -74,18 +75,12 @@ def shifts(monkeypatch):
     return run
 
 
-def steering_of(env_id):
-    steering = Steering(ROBOTS[env_id])
-    steering.split_size = gym.make(env_id).observation_space.shape[0]
-    return steering
-
-
 def test_shift_goes_from_the_start_pose_to_the_actions_within_their_bounds(shifts):
     bounds = ErrorBounds(position=0.02, rotation=0.03)
     tasks = tasks_of(SPATIAL, error_bounds=bounds)
     actions = 3 * np.sign(np.random.default_rng(0).normal(size=(40, 6)))
     actions[20:] = 3.0  # all to one corner
-    pose, velocity, _ = shifts(steering_of(SPATIAL), tasks, actions)
+    pose, velocity, _ = shifts(Steering(ROBOTS[SPATIAL]), tasks, actions)
     away = np.linalg.norm(pose[:, :3], axis=1)
     assert_allclose(pose[0], tasks[0].start_pose - tasks[0].trajectory(0.0).position, atol=1e-12)
     assert away.max() <= FRACTION * bounds.position * (1 + 1e-12)
@@ -97,13 +92,12 @@ def test_shift_goes_from_the_start_pose_to_the_actions_within_their_bounds(shift
 
 def test_learner_sees_its_actions_and_the_end_of_the_motion(shifts):
     actions = np.random.default_rng(1).uniform(-0.5, 0.5, (50, 2))
-    _, _, seen = shifts(steering_of(PLANAR), tasks_of(PLANAR), actions)
+    _, _, seen = shifts(Steering(ROBOTS[PLANAR]), tasks_of(PLANAR), actions)
     past = seen[:, -12:-6]  # before error, mass and strengths
     assert_allclose(past[10], actions[7:10].ravel(), atol=1e-12)
-    since, to_go = (
-        seen[:, : len(TIME_CONSTANTS)],
-        seen[:, len(TIME_CONSTANTS) : 2 * len(TIME_CONSTANTS)],
-    )
+    count = len(TIME_CONSTANTS)
+    since = seen[:, :count]
+    to_go = seen[:, count : 2 * count]
     assert_array_equal(since[0], 1.0)
     assert np.all(np.diff(to_go[:38], axis=0) > 0)
     assert to_go[38, -1] == pytest.approx(1.0, rel=0.1)
@@ -124,9 +118,7 @@ def test_every_environment_can_be_steered(env_id):
 
 
 def test_ceiling_follows_the_fraction_of_successes_with_heavy_payloads():
-    curriculum = PayloadCurriculum()
-    curriculum.window = 4
-    curriculum._successes = type(curriculum._successes)(maxlen=4)
+    curriculum = PayloadCurriculum(window=4)
     start, step = curriculum.start, curriculum.step
 
     def play(*successes, payload=10.0):

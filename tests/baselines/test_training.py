@@ -54,6 +54,7 @@ def test_continued_run_has_the_model_and_the_ceiling_of_its_checkpoint(trained, 
     assert again.payload_ceiling == pytest.approx(1.25)
     assert logged(out / "log", "time/total_timesteps") == [40, 80]
     assert logged(out / "log_80", "rollout/payload_ceiling") == [1.25]
+    assert (out / "checkpoints" / "rl_model_120_steps.zip").exists()
     for mine, other in zip(again.policy.parameters(), model.policy.parameters(), strict=True):
         assert torch.equal(mine, other)
     with pytest.raises(ValueError, match=r"cannot be continued .*: choose another --out"):
@@ -76,7 +77,7 @@ def test_same_seed_gives_the_same_weights(trained, tmp_path):
         ({"out": os.devnull}, "is not a folder|cannot"),
     ],
 )
-def test_invalid_values_leave_no_file(tmp_path, options, message):
+def test_refused_training_writes_no_file(tmp_path, options, message):
     out = tmp_path / "run"
     with pytest.raises(ValueError, match=message):
         train(PLANAR, **({"out": out} | options))

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.laws.law import Array
 from cablebot_baselines.laws.observer_law import UNCERTAINTY
-from cablebot_baselines.learned.steering import Memory, Steering
+from cablebot_baselines.learned.steering import LARGEST_INPUT, Memory, Steering
 from cablebot_gym.envs.vector import CableBotVectorEnv, VectorStep
 from cablebot_gym.motions import Trajectory, random_loop
 from cablebot_gym.motions.loops import TRAINING_SEEDS
@@ -49,26 +49,30 @@ class PayloadCurriculum:
     """Ceiling of the payloads, in payloads of exact tracking, which follows the success with heavy
     ones.
 
-    Of the last ``window`` heavy episodes, a fraction of at least ``success`` raises it by ``step``,
-    and one below ``setback`` lowers it. After each of these decisions a new window begins.
+    Of the last heavy episodes, a fraction of at least ``success`` raises it by ``step``, and one below
+    ``setback`` lowers it. After each of these decisions a new window begins.
+
+    Args:
+        window: number of last heavy episodes that decide.
     """
 
     start, step = 0.5, 0.05
-    success, setback, window = 0.7, 0.5, 100
+    success, setback = 0.7, 0.5
 
-    def __init__(self) -> None:
+    def __init__(self, window: int = 100) -> None:
         self.ceiling = self.start
         """Present ceiling."""
-        self._successes = deque[bool](maxlen=self.window)
+        self._window = window
+        self._successes = deque[bool](maxlen=window)
 
     def count(self, payload: float, succeeded: bool) -> None:
         """Counts an episode with a payload, if it is heavy."""
         if payload < HEAVY * self.ceiling:
             return
         self._successes.append(succeeded)
-        if len(self._successes) < self.window:
+        if len(self._successes) < self._window:
             return
-        fraction = sum(self._successes) / self.window
+        fraction = sum(self._successes) / self._window
         if fraction >= self.success:
             self.ceiling += self.step
         elif fraction < self.setback:
@@ -112,7 +116,9 @@ class Steered(_Wrapper):
         """The steered law."""
         self.curriculum = PayloadCurriculum()
         """Ceiling of the payloads."""
-        self.single_observation_space = Box(-5.0, 5.0, (self.steering.inputs,), np.float32)
+        self.single_observation_space = Box(
+            -LARGEST_INPUT, LARGEST_INPUT, (self.steering.inputs,), np.float32
+        )
         self.single_action_space = Box(-1.0, 1.0, (robot.coordinates,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, n_envs)
         self.action_space = batch_space(self.single_action_space, n_envs)

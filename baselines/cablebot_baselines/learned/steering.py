@@ -43,6 +43,13 @@ TIME_CONSTANTS = (0.5, 1.5, 4.0, 10.0, 25.0)
 """Time constants τ of the inputs exp(−t/τ) that mark the start and the end of a motion, in actions."""
 
 
+STRENGTH_SCALE = 5.0
+"""Factor of the estimated deviations of the motors' strengths."""
+
+LARGEST_INPUT = 5.0
+"""Largest input of a learner."""
+
+
 class ShiftSpline:
     """Uniform B-spline whose control points are the last actions.
 
@@ -73,8 +80,9 @@ class ShiftSpline:
         Args:
             times: times since the last action [s], (...).
         """
-        fractions = np.asarray(times)[..., None, None, None] / self._action_period
-        powers = fractions ** np.arange(self._series.shape[1])
+        fractions = np.asarray(times) / self._action_period
+        exponents = np.arange(self._series.shape[1])
+        powers = fractions[..., None, None, None] ** exponents
         weights: Array = (powers @ self._series)[..., 0, :]
         return weights
 
@@ -127,15 +135,21 @@ class Steering(Observing):
         """Number of control periods per action."""
         self._action_period = self.periods * self._period
         self._spline = ShiftSpline(self._degree, self._action_period)
+        before_action = np.array(self._action_period)
+        self._present = self._spline.weights(before_action)[0]
+        """Weights of the shift when an action is due."""
         self._bounds = FRACTION * error_bounds.of_coordinates(self.robot)
-        first = [task.trajectory(0.0).position for task, _ in self._motions]
-        self._seen = _padded([self._inputs_of(task) for task, _ in self._motions])
         self._motion = np.zeros(len(tasks), np.int64)
-        start = np.empty((len(tasks), self.robot.coordinates))
+        """Number of the motion of each episode, (N,)."""
+        self._start = np.empty((len(tasks), self.robot.coordinates))
+        """Shift to the start pose, as an action, (N, n)."""
+        tables = []
         for index, (task, rows) in enumerate(self._motions):
+            tables.append(self._inputs_of(task))
+            shift = task.start_pose - task.trajectory(0.0).position
             self._motion[rows] = index
-            start[rows] = task.start_pose - first[index]
-        self._start = start / self._bounds
+            self._start[rows] = shift / self._bounds
+        self._seen = _padded(tables)
         if len(self._motions) == 1:  # serves any number of episodes
             self._motion = self._motion[0]
             self._start = self._start[0]
@@ -148,20 +162,19 @@ class Steering(Observing):
     def _inputs_of(self, task: Task) -> Array:
         """What a learner sees of a motion at each action, (actions, size)."""
         motion = task.trajectory
+        period = self._action_period
         layout = observation_layout(self.robot)
-        count = math.ceil(motion.duration / self._action_period)
-        instants = np.arange(count + 1)
-        to_go = motion.duration / self._action_period - instants
-        edges = [np.exp(-span[:, None] / TIME_CONSTANTS) for span in (instants, to_go)]
         scale = {name: layout.per_scale[part] for name, part in layout.slices().items()}
-        now = motion(instants * self._action_period)
-        values = [
-            *edges,
-            (now.position - self.robot.home) * scale["reference_pose"],
-            now.velocity * scale["reference_velocity"],
-        ]
+        actions = motion.duration / period
+        instants = np.arange(math.ceil(actions) + 1)
+        values = []
+        for span in (instants, actions - instants):
+            values.append(np.exp(-span[:, None] / TIME_CONSTANTS))
+        now = motion(instants * period)
+        values.append((now.position - self.robot.home) * scale["reference_pose"])
+        values.append(now.velocity * scale["reference_velocity"])
         for ahead in (0, *PREVIEWS):
-            later = motion((instants + ahead) * self._action_period)
+            later = motion((instants + ahead) * period)
             values.append(later.acceleration * scale["reference_acceleration"])
         return np.concatenate(values, axis=1)
 
@@ -174,7 +187,8 @@ class Steering(Observing):
         self._check_reset()
         starts = first_steps(memory, episode_start, shape)
         start = np.broadcast_to(self._start, (*shape, self.robot.coordinates))
-        actions = np.repeat(start[..., None, :], self._degree + 1, axis=-2)
+        start = start[..., None, :]
+        actions = np.repeat(start, self._degree + 1, axis=-2)
         if memory is None:
             return Memory(actions=actions, step=np.zeros(shape, np.int64), law=None)
         return Memory(
@@ -189,20 +203,29 @@ class Steering(Observing):
 
     def observe(self, blocks: Blocks, memory: Memory) -> Array:
         """The observation of a learner when an action is due, (..., inputs)."""
-        shape = memory.step.shape
-        instant = np.minimum(memory.step // self.periods, self._seen.shape[1] - 1)
-        weights = self._spline.weights(np.array(self._action_period))[0]
-        shift = self._bounds * (weights @ memory.actions)
-        error = (blocks["reference_pose"] + shift - blocks["pose"]) / self._bounds
-        known = np.zeros((*shape, 1 + self.robot.cables))
-        if memory.law is not None:
-            estimate = self.observer.estimate(memory.law.observer)
-            payload = (estimate.mass - self.robot.mass) / self.exact_payloads
-            known = np.column_stack([payload / PAYLOAD_PRIOR, 5 * (estimate.strength - 1)])
-            known = np.where(memory.step[..., None] > 0, known.reshape(*shape, -1), 0.0)
-        past = memory.actions[..., 1:, :].reshape(*shape, -1)
-        values = [self._seen[self._motion, instant], past, error, known]
-        return np.clip(np.concatenate(values, axis=-1), -5.0, 5.0)
+        last = self._seen.shape[1] - 1
+        instant = np.minimum(memory.step // self.periods, last)
+        past = memory.actions[..., 1:, :]
+        shift = self._bounds * (self._present @ memory.actions)
+        error = blocks["reference_pose"] + shift - blocks["pose"]
+        values = [
+            self._seen[self._motion, instant],
+            past.reshape(*memory.step.shape, -1),
+            error / self._bounds,
+            self._estimates(memory),
+        ]
+        return np.clip(np.concatenate(values, axis=-1), -LARGEST_INPUT, LARGEST_INPUT)
+
+    def _estimates(self, memory: Memory) -> Array:
+        """Payload and strengths of the motors, (..., 1 + m); zero at the start of an episode."""
+        shape = (*memory.step.shape, 1 + self.robot.cables)
+        if memory.law is None:
+            return np.zeros(shape)
+        estimate = self.observer.estimate(memory.law.observer)
+        payload = (estimate.mass - self.robot.mass) / self.exact_payloads
+        weakness = STRENGTH_SCALE * (estimate.strength - 1)
+        known = np.column_stack([payload / PAYLOAD_PRIOR, weakness])
+        return np.where(memory.step[..., None] > 0, known.reshape(shape), 0.0)
 
     def steer(
         self, blocks: Blocks, action: Array, memory: Memory, episode_start: Any = None
@@ -213,9 +236,12 @@ class Steering(Observing):
         if np.any(due):
             clipped = np.clip(np.asarray(action, float), -1.0, 1.0)
             position = clipped[..., : self.robot.dimensions]
-            position /= np.maximum(np.linalg.norm(position, axis=-1, keepdims=True), 1.0)
-            moved = np.concatenate([memory.actions[..., 1:, :], clipped[..., None, :]], axis=-2)
-            memory = replace(memory, actions=np.where(due[..., None, None], moved, memory.actions))
+            length = np.linalg.norm(position, axis=-1, keepdims=True)
+            position /= np.maximum(length, 1.0)
+            kept = memory.actions[..., 1:, :]
+            moved = np.concatenate([kept, clipped[..., None, :]], axis=-2)
+            actions = np.where(due[..., None, None], moved, memory.actions)
+            memory = replace(memory, actions=actions)
         phase = memory.step % self.periods * self._period
         blocks = blocks | {"shift_points": memory.actions, "shift_phase": phase[..., None]}
         if memory.law is None:
@@ -227,7 +253,8 @@ class Steering(Observing):
         """The shifted reference at the instant at which the action takes effect."""
         blocks, _ = super().reference(instant, None)
         times = instant.blocks["shift_phase"][:, 0] + instant.estimate.delay
-        shift = self._spline.weights(times) @ (instant.blocks["shift_points"] * self._bounds)
+        points = instant.blocks["shift_points"] * self._bounds
+        shift = self._spline.weights(times) @ points
         for order, name in enumerate(REFERENCE):
             if name in blocks:
                 blocks[name] = blocks[name] + shift[:, order]
@@ -237,6 +264,5 @@ class Steering(Observing):
 def _padded(tables: Sequence[Array]) -> Array:
     """Tables of different lengths as one array; their last rows are repeated."""
     length = max(map(len, tables))
-    return np.stack(
-        [np.pad(table, ((0, length - len(table)), (0, 0)), mode="edge") for table in tables]
-    )
+    rows = np.arange(length)
+    return np.stack([table[np.minimum(rows, len(table) - 1)] for table in tables])

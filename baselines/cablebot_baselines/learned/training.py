@@ -2,7 +2,7 @@
 
 A run's folder contains:
 
-* ``policy.zip``, the policy: the actor's weights, tensors only.
+* ``policy.zip``, the policy: the actor's weights, arrays only.
 * ``log``, SB3's log: ``progress.csv``, and events for TensorBoard. A run that was continued after N
   timesteps has the rest in ``log_N``.
 * ``checkpoints``, the files of SB3's ``CheckpointCallback``. SB3 loads them with ``pickle``:
@@ -109,7 +109,6 @@ def train(
             model.learn(max(0, timesteps - done), callback=callback, reset_num_timesteps=not done)
         finally:
             logger.close()
-        save_policy(model, out / POLICY)
     return model
 
 
@@ -159,6 +158,10 @@ class _Checkpoints(CheckpointCallback):
         if self.n_calls % self.save_freq == 0:
             save_policy(model, self._out / POLICY)
         return super()._on_step()
+
+    def _on_training_end(self) -> None:
+        self.n_calls = 0  # saved at multiples of the frequency
+        self._on_step()
 
     def _on_rollout_end(self) -> None:
         self.logger.record("rollout/payload_ceiling", self._curriculum.ceiling)
