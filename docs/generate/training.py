@@ -20,7 +20,7 @@ def write(pages: Pages) -> None:
     """Writes a table and a figure for each kind of network."""
     for kind, label, time in (
         ("plan", "payload as a fraction of the optimum", "processor time"),
-        ("ppo", "payload in payloads of exact tracking", "time"),
+        ("ppo", "ceiling of the payloads / exact tracking", "time"),
     ):
         cards = cards_of(kind)
         picture = f"training-{kind}.png"
