@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -58,32 +58,30 @@ def required_actuation(
     """
     robot = joint_equivalent(robot)
     orders = [derivative[:, None] for derivative in motion]
-
-    def at(motion: Sequence[Tensor], internal: Tensor | None) -> tuple[Tensor, Tensor]:
-        return _tensions_and_torques(robot, motion, masses, minimum, internal)
-
     now = None if internal is None else internal[0]
-    tensions, torques = at(orders[:3], now)
-    pose, velocity, acceleration = map(_objects, orders[:3])
-    speed = _tensor(textbook.pulley_speed(robot, pose, velocity))
-    torque = torques
+    pulleys = _pulley_actuation(robot, orders[:3], masses, minimum, now)
+    torque = pulleys.torques
+    speed = pulleys.speed
     if robot.flexible:
         named: dict[str, Any] = dict(zip(ORDERS, orders, strict=True))
         series: Any = JointMotion(**named)
         step = DIFFERENCE_STEP
-        pulley_acceleration = textbook.pulley_acceleration(robot, pose, velocity, acceleration)
-        _, before = at(series.after(-step), _after(internal, -step))
-        _, after = at(series.after(step), _after(internal, step))
+        before, after = (
+            _pulley_actuation(
+                robot, series.after(time), masses, minimum, _after(internal, time)
+            ).torques
+            for time in (-step, step)
+        )
         stiffness = torch.tensor(robot.stiffness)
         inertia = torch.tensor(robot.motor_inertia)
         torque_rate = (after - before) / (2 * step)
         speed = speed + torque_rate / stiffness
         torque_second = (after - 2 * torque + before) / step**2
-        motor_acceleration = _tensor(pulley_acceleration) + torque_second / stiffness
+        motor_acceleration = pulleys.acceleration + torque_second / stiffness
         friction = textbook.motor_friction(robot, _objects(speed), _objects(torque))
         torque = torque + inertia * motor_acceleration + _tensor(friction)
     action = _tensor(textbook.normalised_action(robot, _objects(torque), _objects(speed)))
-    return RequiredActuation(tensions=tensions, torques=torques, action=action)
+    return RequiredActuation(tensions=pulleys.tensions, torques=pulleys.torques, action=action)
 
 
 def _after(internal: Sequence[Tensor] | None, step: float) -> Tensor | None:
@@ -94,17 +92,28 @@ def _after(internal: Sequence[Tensor] | None, step: float) -> Tensor | None:
     return value + step * rate + step**2 / 2 * second
 
 
-def _tensions_and_torques(
+class _PulleyActuation(NamedTuple):
+    """Tensions and torques as in :class:`RequiredActuation`, and the motion of the pulleys, β̇ and
+    β̈, each (B, 1, m)."""
+
+    tensions: Tensor
+    torques: Tensor
+    speed: Tensor
+    acceleration: Tensor
+
+
+def _pulley_actuation(
     robot: Robot,
     motion: Sequence[Tensor],
     masses: Tensor,
     minimum: Tensor,
     internal: Tensor | None,
-) -> tuple[Tensor, Tensor]:
-    """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇ (of the springs
-    if flexible), each (B, P, m)."""
+) -> _PulleyActuation:
+    """Tensions T from ``−Sᵀ T = D Ẍ + h`` (Eq. 16), and torques r T + J β̈ + c β̇."""
     pose, velocity, acceleration = map(_objects, motion)
-    structure = _tensor(textbook.jacobian(robot, pose))[:, 0]
+    structure_and_rate = textbook.jacobian_and_rate(robot, pose, velocity)
+    speed, second = textbook.pulley_motion(robot, *structure_and_rate, velocity, acceleration)
+    structure = _tensor(structure_and_rate[0])[:, 0]
     mass = _objects(masses[:, :, None])[:, 0]
     load = _tensor(textbook.load(robot, mass, pose, velocity, acceleration))
     if robot.cables == robot.coordinates:
@@ -119,8 +128,8 @@ def _tensions_and_torques(
             missing = (minimum[:, None, None] - tensions) / direction
             internal = torch.where(direction > 0, missing, -torch.inf).amax(-1)
         tensions = tensions + direction * internal[..., None]
-    torques = textbook.required_torques(robot, _objects(tensions), pose, velocity, acceleration)
-    return tensions, _tensor(torques)
+    torques = textbook.motor_torques(robot, _objects(tensions), speed, second)
+    return _PulleyActuation(tensions, _tensor(torques), _tensor(speed), _tensor(second))
 
 
 def _objects(values: Tensor) -> Array:
