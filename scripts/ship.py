@@ -1,19 +1,21 @@
-"""Ships the median of several trainings: its weights, and a card with the command and the learning
-curves of all.
+"""Ships the median of the trainings with several seeds: its weights, and a card with the command and
+the learning curves of all.
 
-python scripts/ship.py plan CableBot-Planar-v0 RUN…    # of `cablebot train-plan`
-python scripts/ship.py ppo CableBot-Planar-v0 RUN…     # of `cablebot train`
+python scripts/ship.py plan CableBot-Planar-v0 0=RUN 1=RUN …    # of `cablebot train-plan`
+python scripts/ship.py ppo CableBot-Planar-v0 0=RUN 1=RUN …     # of `cablebot train`
 
-The runs have the seeds 0, 1, … in this order. The measure of plans is the payload that the network
-alone carries on the held-out motions, as a fraction of the optimum without margins; that of PPO is the
-ceiling of the payloads, in payloads of exact tracking, over the last quarter of a training.
+The seeds that are not named stay as the card has them: delete it after a change of the training. The
+measure is the payload on the held-out motions: of a network that plans as a fraction of the optimum
+without margins, of PPO in payloads of exact tracking, both with exactly known robots.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import json
 import shutil
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,89 +24,102 @@ import numpy as np
 
 from cablebot_baselines.learned.plan_training import HELD_OUT
 from cablebot_baselines.learned.shipped import WEIGHTS
+from cablebot_baselines.learned.steering import Steering
 from cablebot_baselines.planners.rehearsed import first_optimum
+from cablebot_gym import evaluate_dlcc
 from cablebot_gym.envs import env_robot
+from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import random_loop
 from cablebot_gym.planning import Margins
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.files import atomic_write_text, json_text
 
 
-def plan_runs(env_id: str, folders: list[Path]) -> list[dict[str, Any]]:
-    """Learning curves of ``train-plan``."""
-    optimum = np.array(optima(env_id))
-    runs = []
-    for folder in folders:
-        rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2)
-        fractions = rows[:, 2:] / optimum
-        runs.append(
-            {
-                "steps": int(rows[-1, 0]),
-                "minutes": (rows[:, 1] / 60).round(2).tolist(),
-                "payload": fractions.mean(axis=1).round(4).tolist(),
-                "last": fractions[-1].round(4).tolist(),
-            }
-        )
-    return runs
+def plan_run(env_id: str, folder: Path) -> dict[str, Any]:
+    """Learning curve of ``train-plan``."""
+    rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2)
+    fractions = rows[:, 2:] / optima(env_id)
+    return {
+        "steps": int(rows[-1, 0]),
+        "minutes": (rows[:, 1] / 60).round(2).tolist(),
+        "payload": fractions.mean(axis=1).round(4).tolist(),
+        "last": fractions[-1].round(4).tolist(),
+    }
 
 
-def optima(env_id: str) -> list[float]:
+@cache
+def optima(env_id: str) -> Array:
     """Optimal payloads of the held-out motions, without margins [kg]."""
     robot = find_robot(env_robot(env_id))
     payloads = []
     for seed in HELD_OUT:
-        motion = random_loop(robot.kind, seed)
-        task = gym.make(env_id, trajectory=motion).unwrapped.task
+        task = gym.make(env_id, trajectory=random_loop(robot.kind, seed)).unwrapped.task
         _, plan = first_optimum(robot, task, Margins(), 0.0)
         payloads.append(plan.payload)
         print(f"optimum of motion {seed}: {plan.payload:.3f} kg", flush=True)
+    return np.array(payloads)
+
+
+def ppo_run(env_id: str, folder: Path) -> dict[str, Any]:
+    """Learning curve of ``train``: the ceiling of its payloads."""
+    with (folder / "log" / "progress.csv").open(newline="", encoding="utf-8") as file:
+        rows = [row for row in csv.DictReader(file) if row["rollout/payload_ceiling"]]
+    return {
+        "steps": int(rows[-1]["time/total_timesteps"]),
+        "minutes": [round(float(row["time/time_elapsed"]) / 60, 2) for row in rows],
+        "payload": [round(float(row["rollout/payload_ceiling"]), 3) for row in rows],
+        "last": steered_payloads(env_id, folder / "policy.zip"),
+    }
+
+
+def steered_payloads(env_id: str, policy: Path) -> list[float]:
+    """Payloads of the held-out motions in those of exact tracking."""
+    steering = Steering(find_robot(env_robot(env_id)))
+    payloads = []
+    for seed in HELD_OUT:
+        motion = random_loop(steering.robot.kind, seed)
+        steering.reset(gym.make(env_id, trajectory=motion).unwrapped.task)
+        result = evaluate_dlcc(str(policy), env_id, trajectory=motion, payload_known=False)
+        payloads.append(round(float(result.payload / steering.exact_payloads), 4))
+        print(f"motion {seed}: {payloads[-1]:.3f} of exact tracking", flush=True)
     return payloads
 
 
-def ppo_runs(folders: list[Path]) -> list[dict[str, Any]]:
-    """Learning curves of ``train``."""
-    runs = []
-    for folder in folders:
-        with (folder / "log" / "progress.csv").open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.DictReader(file) if row["rollout/payload_ceiling"]]
-        ceilings = [round(float(row["rollout/payload_ceiling"]), 3) for row in rows]
-        # It changes with the motions of a season.
-        last = np.mean(ceilings[-len(rows) // 4 :])
-        runs.append(
-            {
-                "steps": int(rows[-1]["time/total_timesteps"]),
-                "minutes": [round(float(row["time/time_elapsed"]) / 60, 2) for row in rows],
-                "payload": ceilings,
-                "last": [round(float(last), 3)],
-            }
-        )
-    return runs
+def ship(kind: str, env_id: str, folders: dict[int, Path]) -> None:
+    """Writes the weights and the card.
 
-
-def ship(kind: str, env_id: str, folders: list[Path]) -> None:
-    """Writes the weights and the card."""
-    runs = plan_runs(env_id, folders) if kind == "plan" else ppo_runs(folders)
-    order = sorted(range(len(runs)), key=lambda seed: np.mean(runs[seed]["last"]))
-    seed = order[(len(order) - 1) // 2]
-    command, option = {"plan": ("train-plan", "steps"), "ppo": ("train", "timesteps")}[kind]
-    steps = runs[seed]["steps"]
-    card = {
-        "command": f"cablebot {command} {env_id} --{option} {steps} --seed {seed} --out RUN",
-        "seed": seed,
-        "runs": runs,
-    }
-    shutil.copyfile(
-        folders[seed] / {"plan": "plan.zip", "ppo": "policy.zip"}[kind],
-        WEIGHTS / f"{kind}-{env_id}.zip",
-    )
-    atomic_write_text(WEIGHTS / f"{kind}-{env_id}.json", json_text(card))
-    print(f"seed {seed}: {np.mean(runs[seed]['last']):.3f}")
+    Raises:
+        SystemExit: if the median is an earlier training, whose weights are lost.
+    """
+    card_path = WEIGHTS / f"{kind}-{env_id}.json"
+    card: dict[str, Any] = {"runs": {}}
+    if card_path.exists():
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+    read = {"plan": plan_run, "ppo": ppo_run}[kind]
+    runs = card["runs"] | {str(seed): read(env_id, path) for seed, path in folders.items()}
+    order = sorted(runs, key=lambda seed: np.mean(runs[seed]["last"]))
+    for seed in order:
+        print(f"seed {seed}: {np.mean(runs[seed]['last']):.3f}")
+    median = order[(len(order) - 1) // 2]
+    if int(median) in folders:
+        weights = folders[int(median)] / {"plan": "plan.zip", "ppo": "policy.zip"}[kind]
+        shutil.copyfile(weights, WEIGHTS / f"{kind}-{env_id}.zip")
+    elif median != str(card["seed"]):
+        raise SystemExit(f"the median is seed {median}, whose weights are lost: train it again")
+    command = f"train {env_id}"
+    if kind == "plan":
+        command = f"train-plan {env_id} --steps {runs[median]['steps']}"
+    line = f"cablebot {command} --seed {median} --out RUN"
+    card = {"command": line, "seed": int(median), "runs": runs}
+    atomic_write_text(card_path, json_text(card))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("kind", choices=("plan", "ppo"))
     parser.add_argument("env_id")
-    parser.add_argument("runs", nargs="+", type=Path)
+    parser.add_argument("runs", nargs="+", metavar="SEED=RUN")
     arguments = parser.parse_args()
-    ship(arguments.kind, arguments.env_id, arguments.runs)
+    pairs = [text.partition("=") for text in arguments.runs]
+    runs = {int(seed): Path(folder) for seed, _, folder in pairs}
+    ship(arguments.kind, arguments.env_id, runs)

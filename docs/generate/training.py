@@ -43,14 +43,14 @@ def table(cards: dict[str, Any]) -> str:
     """Payloads of all seeds, and the command of the one that ships."""
     rows = [["", "seeds", "minutes", "payload: IQM [95 %]", "of the shipped seed", "its command"]]
     for env_id, card in cards.items():
-        runs = card["runs"]
+        runs = list(card["runs"].values())
         values: Any = np.concatenate([run["last"] for run in runs])
         middle = f"{interquartile_mean(values):.3f}"
         if len(values) > 1:
             interval = bootstrap([values], interquartile_mean, rng=0).confidence_interval
             middle += f" [{interval.low:.3f}, {interval.high:.3f}]"
         minutes = np.median([run["minutes"][-1] for run in runs])
-        shipped = np.mean(runs[card["seed"]]["last"])
+        shipped = np.mean(card["runs"][str(card["seed"])]["last"])
         cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, f"{shipped:.3f}"]
         rows.append([*cells, f"`{card['command']}`"])
     return markdown_table(rows)
@@ -66,7 +66,7 @@ def curves(cards: dict[str, Any], label: str, time: str) -> Figure:
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     axes = figure.subplots()
     for index, (env_id, card) in enumerate(cards.items()):
-        for run in card["runs"]:
+        for run in card["runs"].values():
             axes.plot(run["minutes"], run["payload"], f"C{index}", lw=1.2, label=env_id)
             env_id = f"_{env_id}"  # one entry of the legend
     axes.set_xlabel(f"{time} [min]")

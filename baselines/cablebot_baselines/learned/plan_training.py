@@ -130,7 +130,7 @@ def train_plans(
                 training.progress.append(row)
                 training.save(out)
             if progress is not None:
-                progress(training.step, steps)
+                progress(training.step, steps, "training")
     return training.average
 
 

@@ -93,6 +93,8 @@ def train(
     out = Path(out)
     check_writable_dir(out)
     done = _last_checkpoint(out)
+    if progress is not None:  # the robots are compiled first
+        progress(done, timesteps)
     envs = make_training_envs(env_id, n_envs, seed=seed + done)
     with closing(envs):
         if done:
