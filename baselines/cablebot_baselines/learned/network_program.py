@@ -16,7 +16,7 @@ from cablebot_gym.planning import Infeasible, MarginProfile, Margins, PlannedMot
 COARSE = np.geomspace(0.5, 8.0, 24)
 """Payloads of the first plans, in payloads of exact tracking."""
 
-REFINED = np.geomspace(1.02, 1.12, 4)
+REFINED = np.geomspace(1.02, 1.12, 8)
 """Payloads of refined plans, in payloads of the network's."""
 
 FINE = 12

@@ -57,12 +57,12 @@ def refined(space: PlanSpace, query: PlanQuery, points: Tensor) -> Tensor:
     best = _residuals(space, query, points)
     damping = [DAMPING] * len(best)
     for _ in range(STEPS):
-        moved = [
-            plan.points + _move(space, plan, weight)
-            for plan, weight in zip(best, damping, strict=True)
-        ]
-        tried = _residuals(space, query, torch.stack(moved))
-        for index, plan in enumerate(tried):
+        left = [index for index, plan in enumerate(best) if plan.square > 0]
+        if not left:
+            break
+        moved = [best[index].points + _move(space, best[index], damping[index]) for index in left]
+        tried = _residuals(space, query[left], torch.stack(moved))
+        for index, plan in zip(left, tried, strict=True):
             if plan.square < best[index].square:
                 best[index] = plan
                 damping[index] *= EASIER
