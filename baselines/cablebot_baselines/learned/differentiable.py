@@ -44,8 +44,8 @@ def required_actuation(
 ) -> RequiredActuation:
     """Tensions and actions that a motion with given masses requires.
 
-    With one cable more than coordinates, the tensions are those of least norm plus the projection of
-    an equal tension of all cables, the internal tension, on the tensions without effect.
+    With one cable more than coordinates, the tensions are those of least norm plus an internal
+    tension, see :func:`internal_direction`.
 
     Args:
         robot: any robot with at most one cable more than coordinates.
@@ -54,7 +54,7 @@ def required_actuation(
         masses: P masses of platform and payload at each instant [kg], (B, P).
         minimum: least tension at each instant with one more cable [N], (B,).
         internal: internal tension and its derivatives up to the second, each (B, P); None for the
-            smallest one with which no cable has less than ``minimum``.
+            one with the least largest action with which no cable has less than ``minimum``.
     """
     robot = joint_equivalent(robot)
     orders = [derivative[:, None] for derivative in motion]
@@ -119,17 +119,49 @@ def _pulley_actuation(
     if robot.cables == robot.coordinates:
         tensions = torch.linalg.solve(-structure.mT, load.mT).mT
     else:
-        inverse = torch.linalg.solve(structure.mT @ structure, structure.mT)  # S⁺
+        inverse, direction = internal_direction(structure)
         tensions = -load @ inverse
-        ones = torch.ones_like(structure[..., 0])
-        direction = ones - (ones[:, None] @ inverse.mT @ structure.mT)[:, 0]
         direction = direction[:, None]
         if internal is None:
             missing = (minimum[:, None, None] - tensions) / direction
             internal = torch.where(direction > 0, missing, -torch.inf).amax(-1)
+            if (direction < 0).any():
+                idle = textbook.motor_torques(robot, 0.0, speed, second)
+                action = _tensor(textbook.normalised_action(robot, idle, speed))
+                per_tension = torch.tensor(robot.pulley_radius / robot.stall_torque)
+                action = action + per_tension * tensions
+                least = _least_largest(action, per_tension * direction.expand_as(tensions))
+                most = torch.where(direction < 0, missing, torch.inf).amin(-1)
+                internal = torch.minimum(torch.maximum(least, internal), most)
         tensions = tensions + direction * internal[..., None]
     torques = textbook.motor_torques(robot, _objects(tensions), speed, second)
     return _PulleyActuation(tensions, _tensor(torques), _tensor(speed), _tensor(second))
+
+
+def internal_direction(structure: Tensor) -> tuple[Tensor, Tensor]:
+    """S⁺, (..., n, m), and the change of the tensions (..., m) by an internal tension of 1: the
+    projection of equal tensions, with the signs of those without effect, on them.
+
+    Args:
+        structure: S of a robot with one cable more than coordinates, (..., m, n).
+    """
+    inverse = torch.linalg.solve(structure.mT @ structure, structure.mT)
+    projection = torch.eye(structure.shape[-2], dtype=structure.dtype) - structure @ inverse
+    signs = projection[..., :1].detach().sign()
+    return inverse, (projection @ signs)[..., 0]
+
+
+def _least_largest(action: Tensor, slope: Tensor) -> Tensor:
+    """λ with the least largest component of action + λ slope, (B, P) for (B, P, m); infinite where
+    all slopes have the same sign."""
+    first, second = torch.triu_indices(action.shape[-1], action.shape[-1], 1)
+    is_crossing = slope[..., first] * slope[..., second] < 0
+    turn = torch.where(is_crossing, slope[..., first] - slope[..., second], 1.0)
+    crossing = (action[..., second] - action[..., first]) / turn
+    height = action[..., first] + slope[..., first] * crossing
+    highest = torch.where(is_crossing, height, -torch.inf).argmax(-1, keepdim=True)
+    unbounded = -slope[..., 0].sign() * torch.inf
+    return torch.where(is_crossing.any(-1), crossing.gather(-1, highest)[..., 0], unbounded)
 
 
 def _objects(values: Tensor) -> Array:

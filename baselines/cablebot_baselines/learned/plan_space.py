@@ -15,7 +15,11 @@ import torch
 from scipy.interpolate import BSpline, make_lsq_spline
 from torch import Tensor
 
-from cablebot_baselines.learned.differentiable import RequiredActuation, required_actuation
+from cablebot_baselines.learned.differentiable import (
+    RequiredActuation,
+    internal_direction,
+    required_actuation,
+)
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
 from cablebot_gym.physics import textbook
@@ -24,8 +28,8 @@ from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DE
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, start_pose
 
-INTERVALS = {"rigid": 72, "flexible": 48}
-"""Spline intervals of every motion, by joints of the robot."""
+INTERVALS = 72
+"""Spline intervals of every motion."""
 
 STAGES = {"rigid": 2, "flexible": 4}
 """Instants per interval at which the actions and the tensions of a training are limited."""
@@ -142,14 +146,13 @@ class PlanSpace:
         self.error_bounds = error_bounds
         self.degree = FLEXIBLE_DEGREE if robot.flexible else RIGID_DEGREE
         self.fixed = FIXED_POINTS[robot.joints]
-        intervals = INTERVALS[robot.joints]
-        self.knots = clamped_knots(1.0, intervals, self.degree)
+        self.knots = clamped_knots(1.0, INTERVALS, self.degree)
         self.nodes = greville(self.knots, self.degree)
         """Fractions of the duration at which the control points act most, (count,)."""
         self.node_basis = self._basis(self.nodes)
-        self.stages = self._basis(_fractions(STAGES[robot.joints] * intervals))
-        self.checks = self._basis(_fractions(CHECKS[robot.joints] * intervals))
-        count = ERROR_STAGES * intervals
+        self.stages = self._basis(_fractions(STAGES[robot.joints] * INTERVALS))
+        self.checks = self._basis(_fractions(CHECKS[robot.joints] * INTERVALS))
+        count = ERROR_STAGES * INTERVALS
         self.errors = self._basis(np.arange(1, count + 1) / count)
         """The instants of the error bounds."""
         fit = self._basis(np.linspace(0.0, 1.0, FIT_SAMPLES))
@@ -404,8 +407,6 @@ def _fractions(count: int) -> Array:
 def _internal(structure: Tensor, tensions: Tensor) -> Tensor:
     """Internal tensions (N, count, 2) of tensions (N, count, 2, m), see
     :func:`~cablebot_baselines.learned.differentiable.required_actuation`."""
-    ones = torch.ones_like(structure[..., 0])
-    effect = structure @ torch.linalg.lstsq(structure, ones[..., None]).solution
-    direction = ones - effect[..., 0]
+    _, direction = internal_direction(structure)
     square = (direction**2).sum(-1)
     return (tensions * direction[..., None, :]).sum(-1) / square[..., None]
