@@ -15,7 +15,6 @@ import argparse
 import csv
 import json
 import shutil
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,17 +27,16 @@ from cablebot_baselines.learned.steering import Steering
 from cablebot_baselines.planners.rehearsed import first_optimum
 from cablebot_gym import evaluate_dlcc
 from cablebot_gym.envs import env_robot
-from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import random_loop
 from cablebot_gym.planning import Margins
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.files import atomic_write_text, json_text
 
 
-def plan_run(env_id: str, folder: Path) -> dict[str, Any]:
+def plan_run(folder: Path, optimum: list[float]) -> dict[str, Any]:
     """Learning curve of ``train-plan``."""
     rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2)
-    fractions = rows[:, 2:] / optima(env_id)
+    fractions = rows[:, 2:] / optimum
     return {
         "steps": int(rows[-1, 0]),
         "minutes": (rows[:, 1] / 60).round(2).tolist(),
@@ -47,8 +45,7 @@ def plan_run(env_id: str, folder: Path) -> dict[str, Any]:
     }
 
 
-@cache
-def optima(env_id: str) -> Array:
+def optima(env_id: str) -> list[float]:
     """Optimal payloads of the held-out motions, without margins [kg]."""
     robot = find_robot(env_robot(env_id))
     payloads = []
@@ -57,7 +54,7 @@ def optima(env_id: str) -> Array:
         _, plan = first_optimum(robot, task, Margins(), 0.0)
         payloads.append(plan.payload)
         print(f"optimum of motion {seed}: {plan.payload:.3f} kg", flush=True)
-    return np.array(payloads)
+    return payloads
 
 
 def ppo_run(env_id: str, folder: Path) -> dict[str, Any]:
@@ -95,8 +92,14 @@ def ship(kind: str, env_id: str, folders: dict[int, Path]) -> None:
     card: dict[str, Any] = {"runs": {}}
     if card_path.exists():
         card = json.loads(card_path.read_text(encoding="utf-8"))
-    read = {"plan": plan_run, "ppo": ppo_run}[kind]
-    runs = card["runs"] | {str(seed): read(env_id, path) for seed, path in folders.items()}
+    if kind == "plan" and "optimum" not in card:
+        card["optimum"] = optima(env_id)
+    runs = card["runs"]
+    for seed, folder in folders.items():
+        if kind == "plan":
+            runs[str(seed)] = plan_run(folder, card["optimum"])
+        else:
+            runs[str(seed)] = ppo_run(env_id, folder)
     order = sorted(runs, key=lambda seed: np.mean(runs[seed]["last"]))
     for seed in order:
         print(f"seed {seed}: {np.mean(runs[seed]['last']):.3f}")
@@ -109,8 +112,8 @@ def ship(kind: str, env_id: str, folders: dict[int, Path]) -> None:
     command = f"train {env_id}"
     if kind == "plan":
         command = f"train-plan {env_id} --steps {runs[median]['steps']}"
-    line = f"cablebot {command} --seed {median} --out RUN"
-    card = {"command": line, "seed": int(median), "runs": runs}
+    card["command"] = f"cablebot {command} --seed {median} --out RUN"
+    card["seed"] = int(median)
     atomic_write_text(card_path, json_text(card))
 
 
