@@ -28,15 +28,16 @@ from cablebot_baselines.planners.rehearsed import first_optimum
 from cablebot_gym import evaluate_dlcc
 from cablebot_gym.envs import env_robot
 from cablebot_gym.motions import random_loop
-from cablebot_gym.planning import Margins
+from cablebot_gym.planning import Infeasible, Margins
 from cablebot_gym.robots import find_robot
 from cablebot_gym.utils.files import atomic_write_text, json_text
 
 
-def plan_run(folder: Path, optimum: list[float]) -> dict[str, Any]:
-    """Learning curve of ``train-plan``."""
+def plan_run(folder: Path, optima: list[float | None]) -> dict[str, Any]:
+    """Learning curve of ``train-plan`` on the motions whose optimum is known."""
     rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2)
-    fractions = rows[:, 2:] / optimum
+    optimum = np.array(optima, float)
+    fractions = (rows[:, 2:] / optimum)[:, np.isfinite(optimum)]
     return {
         "steps": int(rows[-1, 0]),
         "minutes": (rows[:, 1] / 60).round(2).tolist(),
@@ -45,15 +46,18 @@ def plan_run(folder: Path, optimum: list[float]) -> dict[str, Any]:
     }
 
 
-def optima(env_id: str) -> list[float]:
-    """Optimal payloads of the held-out motions, without margins [kg]."""
+def optimal_payloads(env_id: str) -> list[float | None]:
+    """Optimal payloads of the held-out motions, without margins [kg]; None where the program fails."""
     robot = find_robot(env_robot(env_id))
-    payloads = []
+    payloads: list[float | None] = []
     for seed in HELD_OUT:
         task = gym.make(env_id, trajectory=random_loop(robot.kind, seed)).unwrapped.task
-        _, plan = first_optimum(robot, task, Margins(), 0.0)
-        payloads.append(plan.payload)
-        print(f"optimum of motion {seed}: {plan.payload:.3f} kg", flush=True)
+        try:
+            _, plan = first_optimum(robot, task, Margins(), 0.0)
+            payloads.append(plan.payload)
+        except Infeasible:
+            payloads.append(None)
+        print(f"optimum of motion {seed}: {payloads[-1]} kg", flush=True)
     return payloads
 
 
@@ -92,12 +96,12 @@ def ship(kind: str, env_id: str, folders: dict[int, Path]) -> None:
     card: dict[str, Any] = {"runs": {}}
     if card_path.exists():
         card = json.loads(card_path.read_text(encoding="utf-8"))
-    if kind == "plan" and "optimum" not in card:
-        card["optimum"] = optima(env_id)
+    if kind == "plan" and "optima" not in card:
+        card["optima"] = optimal_payloads(env_id)
     runs = card["runs"]
     for seed, folder in folders.items():
         if kind == "plan":
-            runs[str(seed)] = plan_run(folder, card["optimum"])
+            runs[str(seed)] = plan_run(folder, card["optima"])
         else:
             runs[str(seed)] = ppo_run(env_id, folder)
     order = sorted(runs, key=lambda seed: np.mean(runs[seed]["last"]))
