@@ -79,9 +79,10 @@ def steered_payloads(env_id: str, policy: Path) -> list[float]:
     payloads = []
     for seed in HELD_OUT:
         motion = random_loop(steering.robot.kind, seed)
-        steering.reset(gym.make(env_id, trajectory=motion).unwrapped.task)
+        steering.reset([gym.make(env_id, trajectory=motion).unwrapped.task])
         result = evaluate_dlcc(str(policy), env_id, trajectory=motion, payload_known=False)
-        payloads.append(round(float(result.payload / steering.exact_payloads), 4))
+        carried = result.payload or 0.0  # None if it fails unloaded
+        payloads.append(round(carried / steering.exact_payloads.item(), 4))
         print(f"motion {seed}: {payloads[-1]:.3f} of exact tracking", flush=True)
     return payloads
 

@@ -77,7 +77,7 @@ def test_same_seed_gives_the_same_weights(trained, tmp_path):
         ({"out": os.devnull}, "is not a folder|cannot"),
     ],
 )
-def test_refused_training_writes_no_file(tmp_path, options, message):
+def test_invalid_values_are_refused_before_the_folder_is_made(tmp_path, options, message):
     out = tmp_path / "run"
     with pytest.raises(ValueError, match=message):
         train(PLANAR, **({"out": out} | options))

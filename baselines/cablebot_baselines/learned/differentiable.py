@@ -126,11 +126,9 @@ def _pulley_actuation(
             missing = (minimum[:, None, None] - tensions) / direction
             internal = torch.where(direction > 0, missing, -torch.inf).amax(-1)
             if (direction < 0).any():
-                idle = textbook.motor_torques(robot, 0.0, speed, second)
-                action = _tensor(textbook.normalised_action(robot, idle, speed))
-                per_tension = torch.tensor(robot.pulley_radius / robot.stall_torque)
-                action = action + per_tension * tensions
-                least = _least_largest(action, per_tension * direction.expand_as(tensions))
+                action = _action(robot, tensions, speed, second)
+                slope = _action(robot, tensions + direction, speed, second) - action
+                least = _least_largest(action, slope)
                 most = torch.where(direction < 0, missing, torch.inf).amin(-1)
                 internal = torch.minimum(torch.maximum(least, internal), most)
         tensions = tensions + direction * internal[..., None]
@@ -149,6 +147,12 @@ def internal_direction(structure: Tensor) -> tuple[Tensor, Tensor]:
     projection = torch.eye(structure.shape[-2], dtype=structure.dtype) - structure @ inverse
     signs = projection[..., :1].detach().sign()
     return inverse, (projection @ signs)[..., 0]
+
+
+def _action(robot: Robot, tensions: Tensor, speed: Array, acceleration: Array) -> Tensor:
+    """Actions of rigid motors with tensions and a motion of the pulleys, (B, P, m)."""
+    torques = textbook.motor_torques(robot, _objects(tensions), speed, acceleration)
+    return _tensor(textbook.normalised_action(robot, torques, speed))
 
 
 def _least_largest(action: Tensor, slope: Tensor) -> Tensor:

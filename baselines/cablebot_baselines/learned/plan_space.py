@@ -406,7 +406,7 @@ def _fractions(count: int) -> Array:
 
 def _internal(structure: Tensor, tensions: Tensor) -> Tensor:
     """Internal tensions (N, count, 2) of tensions (N, count, 2, m), see
-    :func:`~cablebot_baselines.learned.differentiable.required_actuation`."""
+    :func:`~cablebot_baselines.learned.differentiable.internal_direction`."""
     _, direction = internal_direction(structure)
     square = (direction**2).sum(-1)
     return (tensions * direction[..., None, :]).sum(-1) / square[..., None]
