@@ -148,17 +148,23 @@ def _lines(console: Console, text: str, unit: str) -> Iterator[Step]:
     """Prints the progress when a line is due, in a thread of its own."""
     start = time.monotonic()
     latest = 0.0, 1.0, text
+    first = 0.0, start, ""  # of a continued computation, something is done at its first report
     ended = threading.Event()
 
     def step(done: float, expected: float, text: str = "") -> None:
-        nonlocal latest
+        nonlocal latest, first
         latest = done, expected, text or latest[2]
+        if latest[2] != first[2]:
+            first = done, time.monotonic(), latest[2]
 
     def write() -> None:
         elapsed = 0.0
         while not ended.wait(min(max(FIRST_LINE, LINE_GROWTH * elapsed), LONGEST_SILENCE)):
-            elapsed = time.monotonic() - start
-            console.print(progress_line(*latest, unit=unit, elapsed=elapsed))
+            now = time.monotonic()
+            elapsed = now - start
+            before, began, _ = first
+            pace = {"before": before, "working": now - began}
+            console.print(progress_line(*latest, unit=unit, elapsed=elapsed, **pace))
 
     thread = threading.Thread(target=write, name="progress", daemon=True)
     thread.start()
@@ -169,14 +175,33 @@ def _lines(console: Console, text: str, unit: str) -> Iterator[Step]:
         thread.join()
 
 
-def progress_line(done: float, expected: float, text: str, *, unit: str, elapsed: float) -> str:
-    """A line of a log: progress, elapsed time [s] and time left at the mean pace."""
+def progress_line(
+    done: float,
+    expected: float,
+    text: str,
+    *,
+    unit: str,
+    elapsed: float,
+    before: float,
+    working: float,
+) -> str:
+    """A line of a log: progress, elapsed time and time left at the mean pace.
+
+    Args:
+        done: finished units.
+        expected: units in all.
+        text: description of the computation.
+        unit: unit that is counted, as in :func:`progress`.
+        elapsed: time since the start [s].
+        before: units that were finished at the first report with this description.
+        working: time since then [s].
+    """
     count = f"{done:,.0f} of {expected:,.0f} {unit}"
     if unit == "%":
         count = f"{done / expected:.0%}"
     line = f"{text}: {count}, {timedelta(seconds=round(elapsed))} elapsed"
-    if done > 0:
-        left = elapsed * (expected - done) / done
+    if done > before:
+        left = working * (expected - done) / (done - before)
         line += f", {timedelta(seconds=round(left))} left"
     return line
 

@@ -123,6 +123,8 @@ def train_plans(
         training = PlanTraining(space, steps=steps, seed=seed, progress=progress)
         training.load(out)
         every = max(1, steps // PARTS)
+        if progress is not None:
+            progress(training.step, steps, "training")
         while training.step < steps:
             training.learn()
             if training.step % every == 0 or training.step == steps:
