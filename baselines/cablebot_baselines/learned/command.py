@@ -39,7 +39,7 @@ def train_plan(
         str, typer.Argument(metavar="ID", help="Environment, such as CableBot-Planar-v0.")
     ],
     out: Annotated[Path, "Folder of the run: weights, checkpoint, learning curve."],
-    steps: Annotated[int, "Number of training steps in all."] = 8000,
+    steps: Annotated[int, "Number of training steps in all."] = 6000,
     seed: Annotated[int, "Seed of weights and batches."] = 0,
 ) -> None:
     """Train a network that plans motions, and write it to plan.zip.
