@@ -21,9 +21,10 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from cablebot_baselines.learned.plan_training import HELD_OUT
+from cablebot_baselines.learned.plan_training import HELD_OUT, PLAN
 from cablebot_baselines.learned.shipped import WEIGHTS
 from cablebot_baselines.learned.steering import Steering
+from cablebot_baselines.learned.training import POLICY
 from cablebot_baselines.planners.rehearsed import first_optimum
 from cablebot_gym import evaluate_dlcc
 from cablebot_gym.envs import env_robot
@@ -43,6 +44,7 @@ def plan_run(folder: Path, optima: list[float | None]) -> dict[str, Any]:
         "minutes": (rows[:, 1] / 60).round(2).tolist(),
         "payload": fractions.mean(axis=1).round(4).tolist(),
         "last": fractions[-1].round(4).tolist(),
+        "mean": round(float(rows[-1, 2:].mean()), 3),  # [kg], as train-plan prints it
     }
 
 
@@ -69,7 +71,7 @@ def ppo_run(env_id: str, folder: Path) -> dict[str, Any]:
         "steps": int(rows[-1]["time/total_timesteps"]),
         "minutes": [round(float(row["time/time_elapsed"]) / 60, 2) for row in rows],
         "payload": [round(float(row["rollout/payload_ceiling"]), 3) for row in rows],
-        "last": steered_payloads(env_id, folder / "policy.zip"),
+        "last": steered_payloads(env_id, folder / POLICY),
     }
 
 
@@ -110,7 +112,7 @@ def ship(kind: str, env_id: str, folders: dict[int, Path]) -> None:
         print(f"seed {seed}: {np.mean(runs[seed]['last']):.3f}")
     median = order[(len(order) - 1) // 2]
     if int(median) in folders:
-        weights = folders[int(median)] / {"plan": "plan.zip", "ppo": "policy.zip"}[kind]
+        weights = folders[int(median)] / {"plan": PLAN, "ppo": POLICY}[kind]
         shutil.copyfile(weights, WEIGHTS / f"{kind}-{env_id}.zip")
     elif median != str(card["seed"]):
         raise SystemExit(f"the median is seed {median}, whose weights are lost: train it again")

@@ -163,8 +163,10 @@ def _lines(console: Console, text: str, unit: str) -> Iterator[Step]:
             now = time.monotonic()
             elapsed = now - start
             before, began, _ = first
-            pace = {"before": before, "working": now - began}
-            console.print(progress_line(*latest, unit=unit, elapsed=elapsed, **pace))
+            working = now - began
+            console.print(
+                progress_line(*latest, unit=unit, elapsed=elapsed, before=before, working=working)
+            )
 
     thread = threading.Thread(target=write, name="progress", daemon=True)
     thread.start()

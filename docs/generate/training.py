@@ -50,8 +50,11 @@ def table(cards: dict[str, Any]) -> str:
             interval = bootstrap([values], interquartile_mean, rng=0).confidence_interval
             middle += f" [{interval.low:.3f}, {interval.high:.3f}]"
         minutes = np.median([run["minutes"][-1] for run in runs])
-        shipped = np.mean(card["runs"][str(card["seed"])]["last"])
-        cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, f"{shipped:.3f}"]
+        run = card["runs"][str(card["seed"])]
+        shipped = f"{np.mean(run['last']):.3f}"
+        if "mean" in run:
+            shipped += f" ({run['mean']:.3f} kg)"
+        cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, shipped]
         rows.append([*cells, f"`{card['command']}`"])
     return markdown_table(rows)
 

@@ -159,7 +159,7 @@ def few_motions(monkeypatch):
 @pytest.mark.landing
 def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     env_id = IDS[PLANAR]
-    plan_training.train_plans(env_id, out=tmp_path / "whole", steps=2)
+    payloads = plan_training.train_plans(env_id, out=tmp_path / "whole", steps=2)
     part = plan_training.PlanTraining(space_of(PLANAR), steps=2, seed=0)
     part.learn()
     (tmp_path / "broken").mkdir()
@@ -170,7 +170,9 @@ def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     )
     for name, values in whole.items():
         assert torch.equal(values, broken[name])
-    assert (tmp_path / "whole" / "progress.csv").read_text().startswith("1,")
+    rows = np.loadtxt(tmp_path / "whole" / "progress.csv", delimiter=",")
+    assert rows[0, 0] == 1
+    assert rows[-1, 2:].tolist() == payloads
     with pytest.raises(ValueError, match="is for robot 'planar': choose another --out"):
         plan_training.train_plans(IDS[SPATIAL], out=tmp_path / "whole", steps=2)
 

@@ -48,7 +48,9 @@ def train_plan(
 
     Example: cablebot train-plan CableBot-Planar-v0 --out runs/plan
     """
-    from cablebot_baselines.learned.plan_training import train_plans
+    from cablebot_baselines.learned.plan_training import PLAN, train_plans
 
     with progress("training", "steps") as step:
-        train_plans(env_id, out=out, steps=steps, seed=seed, progress=step)
+        payloads = train_plans(env_id, out=out, steps=steps, seed=seed, progress=step)
+    mean = sum(payloads) / len(payloads)
+    print(f"{out / PLAN}: {mean:.3f} kg, mean of {len(payloads)} motions that were not trained on")

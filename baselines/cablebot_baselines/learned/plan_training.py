@@ -96,11 +96,15 @@ PEAK = 8
 PARTS = 20
 """Checkpoints of a run."""
 
+PLAN = "plan.zip"
+"""Name of the file of the weights."""
+
 
 def train_plans(
     env_id: str, *, out: str | Path, steps: int, seed: int = 0, progress: Step | None = None
-) -> PlanNetwork:
-    """Trains a network for the robot of an environment, or continues the run in ``out``.
+) -> list[float]:
+    """Trains a network for the robot of an environment, or continues the run in ``out``. Returns its
+    payloads on the motions :data:`HELD_OUT` [kg].
 
     Args:
         env_id: one of :data:`cablebot_gym.ENV_IDS`.
@@ -133,7 +137,7 @@ def train_plans(
                 training.save(out)
             if progress is not None:
                 progress(training.step, steps, "training")
-    return training.average
+    return training.progress[-1][2:]
 
 
 class PlanTraining:
@@ -263,7 +267,7 @@ class PlanTraining:
         atomic_write(out / "checkpoint.pt", partial(torch.save, state))
         buffer = BytesIO()  # in a file's archive, torch writes the name of the file
         torch.save(self.average.state_dict(), buffer)
-        atomic_write(out / "plan.zip", lambda file: file.write_bytes(buffer.getvalue()))
+        atomic_write(out / PLAN, lambda file: file.write_bytes(buffer.getvalue()))
         lines = [",".join(map(str, row)) + "\n" for row in self.progress]
         atomic_write_text(out / "progress.csv", "".join(lines))
 
