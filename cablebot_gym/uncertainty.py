@@ -554,6 +554,16 @@ _NOISE = SensorNoise(
 )
 
 
+def _gusts(robot: Robot) -> ExternalWrench:
+    """Gusts on a platform. One below 1 kg is small: the force is in proportion to its mass. The arm of
+    the moment does not reach beyond the anchors."""
+    force = 0.5 * min(1.0, robot.mass)
+    arm = 0.1
+    if not robot.point_mass:
+        arm = min(arm, float(np.linalg.norm(robot.platform, axis=-1).max()))
+    return ExternalWrench(force_std=force, moment_std=arm * force, correlation_time=0.1)
+
+
 def _hardware(robot: Robot) -> Uncertainty:
     def within(deviation: float, *, each: bool = True) -> ParameterDistribution:
         return ParameterDistribution(low=-deviation, high=deviation, each=each)
@@ -586,7 +596,7 @@ def _hardware(robot: Robot) -> Uncertainty:
         parameters["platform_anchors"] = between(-0.5e-3, 0.5e-3)
     return Uncertainty(
         parameters=parameters,
-        wrench=ExternalWrench(force_std=0.5, moment_std=0.05, correlation_time=0.1),
+        wrench=_gusts(robot),
         sensors=dataclasses.replace(_NOISE, motor_angle=2e-4),
         sensor_bias=SensorNoise(position=1.5e-4, rotation=3.5e-4),
         delay=(0, 1),

@@ -1,6 +1,7 @@
 """Rehearsals of plans on random robots, and the margins that follow from them."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import gymnasium as gym
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
+from cablebot_baselines.planners import rehearsed
 from cablebot_baselines.planners.rehearsal import (
     GROWTH,
     TENSION_RESERVE,
@@ -16,14 +18,16 @@ from cablebot_baselines.planners.rehearsal import (
     grown_margins,
     spread_margins,
 )
-from cablebot_baselines.planners.rehearsed import with_lighter_payload
+from cablebot_baselines.planners.rehearsed import PlanSearch, with_lighter_payload
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import MarginProfile, MotionProgram
+from cablebot_gym.planning import Infeasible, MarginProfile, MotionProgram
 from cablebot_gym.robots import FLEX_PLANAR
 from cablebot_gym.task import ErrorBounds
+from cablebot_gym.uncertainty import find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
+HARDWARE = find_uncertainty("hardware", TASK.robot)
 TIMES = np.arange(1, 201) / TASK.control_frequency
 
 
@@ -46,6 +50,13 @@ def rehearsal(payloads, **changes):
     return Rehearsal(**values | changes)
 
 
+def plan():
+    """The reference with the least tension of the rehearsals."""
+    motion = Mock(side_effect=TASK.trajectory)
+    motion.minimum_tension = 5.0
+    return motion
+
+
 def test_payload_counts_only_with_all_smaller_ones():
     position = np.zeros((6, 200))
     position[3, 50] = 0.011  # one of two robots fails with 2 kg
@@ -57,9 +68,29 @@ def test_payload_counts_only_with_all_smaller_ones():
 
 def test_overloaded_cable_fails_a_rehearsal():
     """Within the reserve below the maximum, too; a plan would claim a payload that breaks a cable."""
-    for maximum, carried in ((92.0, True), (91.0, False)):
+    for maximum, carried in ((92.0, 0.0), (91.0, -1.0)):
         task = replace(TASK, robot=TASK.robot.replace(maximum_tension=maximum))
-        assert rehearsal([0], task=task).carried.tolist() == [carried]
+        overloaded = rehearsal([0], task=task)
+        assert overloaded.largest_carried() == carried
+        assert overloaded.largest_carried(reserved=False) == 0.0
+
+
+@pytest.mark.parametrize(("error", "is_planned"), [(0.0099, True), (0.0101, False)])
+def test_plan_that_misses_the_reserves_is_better_than_none(monkeypatch, error, is_planned):
+    """One that misses the limits themselves is not."""
+    motion = Mock(payload=2.0)
+    position = np.full((6, 200), error)
+    rehearsed_plan = rehearsal([0, 0, 1, 1, 2, 2], position=position)
+    search = PlanSearch(Mock(first=Mock(return_value=(Mock(), motion))), TASK, HARDWARE)
+    search._planner.first.return_value[0].resolve.return_value = motion
+    monkeypatch.setattr(rehearsed, "rehearse", lambda *_: rehearsed_plan)
+    monkeypatch.setattr(rehearsed, "tracking_law", Mock())
+    monkeypatch.setattr(rehearsed, "spread_margins", lambda *_: MarginProfile.zeros(TIMES, 3))
+    if is_planned:
+        assert search.find() is motion
+    else:
+        with pytest.raises(Infeasible, match="carry none of the plans"):
+            search.find()
 
 
 def test_jump_that_comes_a_period_later_needs_no_margin():
@@ -68,10 +99,32 @@ def test_jump_that_comes_a_period_later_needs_no_margin():
     tension[0, 100:] = tension[1, 101:] = 50.0
     action = np.full((2, 200, 3), 0.5)
     action[0, 100:] = action[1, 101:] = 0.7
-    margins = spread_margins(rehearsal([0.0, 0.0], tension=tension, action=action), TASK.trajectory)
+    margins = spread_margins(rehearsal([0.0, 0.0], tension=tension, action=action), plan())
     assert margins.tension.max() < 1.0
     assert margins.action.max() < 1e-9
     assert margins.position.max() == margins.rotation.max() == 0.0
+
+
+def test_spread_far_above_the_least_tension_needs_no_margin_of_redundant_cables():
+    """Their law keeps a least tension, so the margin to it is the same all the time: a jump at which
+    the tensions are high must not raise it."""
+    tension = np.full((2, 200), 5.0)
+    tension[0, 100:] = 50.0
+    tension[1, 100:] = 40.0
+    tension[0, 50] = 4.0
+    margins = spread_margins(rehearsal([0.0, 0.0], tension=tension), plan())
+    assert 0.5 < margins.tension.max() < 5.0
+
+
+def test_first_plan_of_redundant_cables_has_the_least_tension_of_observing():
+    """With less, cables go slack in the rehearsal, and its spread has no meaning."""
+    planner = Mock()
+    planner.first.side_effect = Infeasible("stop")
+    task = gym.make("CableBot-Point-v0", payload_known=False).unwrapped.task
+    with pytest.raises(Infeasible, match="stop"):
+        PlanSearch(planner, task, find_uncertainty("hardware", task.robot)).find()
+    margins = planner.first.call_args.args[2]
+    assert margins.tension > 20.0
 
 
 def test_exceeded_limits_get_larger_margins_at_their_times():

@@ -15,7 +15,8 @@ from cablebot_baselines.laws.observer_law import ObserverLaw
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
-from cablebot_gym.planning import MarginProfile
+from cablebot_gym.planning import MarginProfile, PlannedMotion
+from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import Uncertainty
 
@@ -56,33 +57,34 @@ class Rehearsal:
     largest_tension: Array
     """Largest tension of all cables in each control period, (N, T) [N]."""
 
-    @property
-    def excess(self) -> dict[str, Array]:
-        """How far each control period is beyond the limits, less the reserves that cover the robots
-        that are not rehearsed, by limit, each (N, T); negative within them."""
+    def excess(self, *, reserved: bool = True) -> dict[str, Array]:
+        """How far each control period is beyond the limits, by limit, each (N, T); negative within
+        them.
+
+        Args:
+            reserved: whether the limits are those less the reserves, which cover the robots that are
+                not rehearsed.
+        """
+        error, tension = (ERROR_RESERVE, TENSION_RESERVE) if reserved else (0.0, 0.0)
         bounds = self.task.error_bounds
         robot = self.task.robot
-        missing_tension = robot.minimum_tension + TENSION_RESERVE - self.tension
-        overload = self.largest_tension - (robot.maximum_tension - TENSION_RESERVE)
+        missing_tension = robot.minimum_tension + tension - self.tension
+        overload = self.largest_tension - (robot.maximum_tension - tension)
         return {
-            "position": self.position - (1 - ERROR_RESERVE) * bounds.position,
-            "rotation": self.rotation - (1 - ERROR_RESERVE) * bounds.rotation,
+            "position": self.position - (1 - error) * bounds.position,
+            "rotation": self.rotation - (1 - error) * bounds.rotation,
             "tension": np.maximum(missing_tension, overload),
         }
 
-    @property
-    def carried(self) -> NDArray[np.bool_]:
-        """Whether each episode keeps all limits and the reserves, (N,)."""
+    def largest_carried(self, *, reserved: bool = True) -> float:
+        """Largest payload with which all robots keep the limits of :meth:`excess`, with all smaller
+        ones [kg]; −1 if there is none."""
         is_carried = np.ones(len(self.payloads), np.bool_)
-        for excess in self.excess.values():
+        for excess in self.excess(reserved=reserved).values():
             is_carried &= excess.max(axis=1) <= 0
-        return is_carried
-
-    def largest_carried(self) -> float:
-        """Largest payload that all robots carry, with all smaller ones [kg]; −1 if there is none."""
         largest = -1.0
         for payload in np.unique(self.payloads):
-            if not self.carried[self.payloads == payload].all():
+            if not is_carried[self.payloads == payload].all():
                 break
             largest = float(payload)
         return largest
@@ -168,7 +170,13 @@ WINDOW = 0.03
 extremes."""
 
 
-def spread_margins(rehearsal: Rehearsal, motion: Trajectory) -> MarginProfile:
+def keeps_least_tension(robot: Robot) -> bool:
+    """Whether the law keeps the same least tension all the time, so that the margin to it is constant:
+    of a rigid robot with redundant cables."""
+    return robot.cables > robot.coordinates and not robot.flexible
+
+
+def spread_margins(rehearsal: Rehearsal, motion: PlannedMotion) -> MarginProfile:
     """Margins for the spread of the robots about their motion.
 
     Args:
@@ -182,8 +190,11 @@ def spread_margins(rehearsal: Rehearsal, motion: Trajectory) -> MarginProfile:
         for payload in payloads:
             if name == "action" and payload < payloads[-1]:
                 continue  # light payloads need less torque
-            deviation = _deviation(name, rehearsal.of(rehearsal.payloads == payload), motion)
+            part = rehearsal.of(rehearsal.payloads == payload)
+            deviation = _deviation(name, part, motion)
             margin = deviation.mean(axis=0) + spreads * deviation.std(axis=0)
+            if name == "tension" and keeps_least_tension(rehearsal.task.robot):
+                margin -= _lowest(part) - motion.minimum_tension
             needed = margin if needed is None else np.maximum(needed, margin)
         assert needed is not None
         profile[name] = _widened(np.maximum(needed, 0.0), rehearsal.task)
@@ -192,6 +203,11 @@ def spread_margins(rehearsal: Rehearsal, motion: Trajectory) -> MarginProfile:
     for name in ("position", "rotation"):
         profile[name] = np.minimum(profile[name], LARGEST_ERROR_MARGIN * getattr(bounds, name))
     return MarginProfile(times=rehearsal.times, **profile)
+
+
+def _lowest(rehearsal: Rehearsal) -> Array:
+    """Lowest mean of the least tensions within :data:`WINDOW`, (T,) [N]."""
+    return -_widened(-rehearsal.tension.mean(axis=0), rehearsal.task)
 
 
 def _deviation(name: str, rehearsal: Rehearsal, motion: Trajectory) -> Array:
@@ -203,8 +219,7 @@ def _deviation(name: str, rehearsal: Rehearsal, motion: Trajectory) -> Array:
     """
     task = rehearsal.task
     if name == "tension":
-        lowest = -_widened(-rehearsal.tension.mean(axis=0), task)
-        return np.maximum(lowest - rehearsal.tension, 0.0)
+        return np.maximum(_lowest(rehearsal) - rehearsal.tension, 0.0)
     if name == "action":
         action = np.abs(rehearsal.action)
         return np.maximum(action - _widened(action.mean(axis=0), task), 0.0)
@@ -224,7 +239,7 @@ def _deviation(name: str, rehearsal: Rehearsal, motion: Trajectory) -> Array:
 def grown_margins(profile: MarginProfile, rehearsal: Rehearsal) -> MarginProfile:
     """A profile with larger margins at the times at which episodes exceed a limit."""
     grown = {"action": profile.action}
-    for name, excess in rehearsal.excess.items():
+    for name, excess in rehearsal.excess().items():
         largest = GROWTH * np.maximum(excess.max(axis=0), 0.0)
         grown[name] = getattr(profile, name) + _widened(largest, rehearsal.task)
     return MarginProfile(times=profile.times, **grown)

@@ -13,11 +13,13 @@ from scipy.interpolate import make_lsq_spline
 
 from cablebot_baselines.laws.observer_law import Instant, ObserverLaw
 from cablebot_baselines.laws.outer_loop import by_kind
+from cablebot_baselines.laws.robust_design import RobustDesign
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.plan_law import PlanLaw
 from cablebot_baselines.planners.rehearsal import (
     Rehearsal,
     grown_margins,
+    keeps_least_tension,
     rehearse,
     spread_margins,
 )
@@ -48,9 +50,14 @@ COARSE = 1.5
 """How many times fewer intervals the first plan of a flexible robot has. It takes the second one of
 two payloads as a start."""
 
-GAINS = {"planar": (1600.0, 80.0), "spatial": (400.0, 40.0)}
-"""(K_P, K_D) by kind of a rigid robot [1/s², 1/s]; flexible ones have those of ``spatial``. Higher ones
-amplify the noise of the sensors."""
+GAINS = {
+    "planar": (1600.0, 80.0),
+    "planar-platform": (8100.0, 180.0),
+    "spatial": (400.0, 40.0),
+}
+"""(K_P, K_D) by kind of a rigid robot [1/s², 1/s]; flexible ones and other kinds have those of
+``spatial``. Higher ones amplify the noise of the sensors, in proportion to the mass; lower ones leave
+light platforms to the errors of the motors."""
 
 SENSOR_BIASES = 4.5
 """Margin to the error bounds of the first plan in standard deviations of the bias of the sensors."""
@@ -232,27 +239,40 @@ class PlanSearch:
                 random robots fail unloaded.
         """
         lightest = -LIGHTEST * self._expectation.mass_spread
-        margins = self._margins(FIRST_MARGINS, biases=SENSOR_BIASES)
+        margins = self._margins(self._first_margins, biases=SENSOR_BIASES)
         robot = self._expectation.robot
         program, plan = self._planner.first(robot, self._task, margins, lightest)
         rehearsal = self._rehearsal(plan, (0.0, 1.0))
         profile = self._startable(spread_margins(rehearsal, plan))
-        most, best = -1.0, plan
+        most, best = (-1.0, -1.0), plan
         for _ in range(ROUNDS):
             try:
                 plan = program.resolve(*self._split(profile))
             except Infeasible:
                 break
             rehearsal = self._rehearsal(plan, FRACTIONS)
-            carried = rehearsal.largest_carried()
+            # a plan that misses the reserves is better than none
+            carried = rehearsal.largest_carried(), rehearsal.largest_carried(reserved=False)
             if carried > most:
                 most, best = carried, plan
-            if carried >= plan.payload:
+            if carried[0] >= plan.payload:
                 break
             profile = self._startable(grown_margins(profile, rehearsal))
-        if most < 0:
+        if most[1] < 0:
             raise Infeasible("the random robots carry none of the plans")
         return best
+
+    @property
+    def _first_margins(self) -> Margins:
+        """Margins of the first plan. The law of a rigid robot with redundant cables can keep the least
+        tension of ``observing``; with less, cables would go slack in the first rehearsal."""
+        robot = self._expectation.robot
+        if not keeps_least_tension(robot):
+            return FIRST_MARGINS
+        design = RobustDesign(
+            expectation=self._expectation, task=self._task, largest_payload=float(robot.mass)
+        )
+        return replace(FIRST_MARGINS, tension=design.minimum_tension - robot.minimum_tension)
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
         law = tracking_law(plan, self._expectation, self._task)
@@ -273,11 +293,10 @@ class PlanSearch:
         return replace(margins, position=position, rotation=rotation, tension=tension)
 
     def _split(self, profile: MarginProfile) -> tuple[Margins, MarginProfile]:
-        """Constant margins, and those over time in addition. The law of a rigid redundant robot keeps
-        the same least tension all the time, so the margin to it is constant."""
+        """Constant margins, and those over time in addition."""
         margins = self._margins(LEAST_MARGINS)
         robot = self._expectation.robot
-        if robot.cables > robot.coordinates and not robot.flexible:
+        if keeps_least_tension(robot):
             tension = margins.tension + profile.tension.max()
             tension = min(float(tension), largest_tension_margin(robot))
             margins = replace(margins, tension=tension)
