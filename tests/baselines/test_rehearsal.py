@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
+from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners import rehearsed
 from cablebot_baselines.planners.rehearsal import (
     GROWTH,
@@ -125,6 +126,20 @@ def test_first_plan_of_redundant_cables_has_the_least_tension_of_observing():
         PlanSearch(planner, task, find_uncertainty("hardware", task.robot)).find()
     margins = planner.first.call_args.args[2]
     assert margins.tension > 20.0
+
+
+@pytest.mark.parametrize(
+    ("env_id", "stiffness"), [("CableBot-FlexSpatial-v0", 20.0), ("CableBot-FlexPoint-v0", 6.1)]
+)
+def test_soft_springs_get_lower_gains(monkeypatch, env_id, stiffness):
+    """With those of the paper's robots, heavy payloads on long cables resonate."""
+    task = gym.make(env_id, payload_known=False).unwrapped.task
+    law = Mock(side_effect=RuntimeError("stop"))
+    monkeypatch.setattr(rehearsed, "PlanLaw", law)
+    expectation = Expectation.of(task.robot, find_uncertainty("hardware", task.robot))
+    with pytest.raises(RuntimeError, match="stop"):
+        rehearsed.tracking_law(Mock(payload=5.0), expectation, task)
+    assert law.call_args.kwargs["gains"] == pytest.approx((stiffness**2, 2 * stiffness), rel=0.02)
 
 
 def test_exceeded_limits_get_larger_margins_at_their_times():

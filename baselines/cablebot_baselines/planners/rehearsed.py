@@ -55,9 +55,13 @@ GAINS = {
     "planar-platform": (8100.0, 180.0),
     "spatial": (400.0, 40.0),
 }
-"""(K_P, K_D) by kind of a rigid robot [1/s², 1/s]; flexible ones and other kinds have those of
-``spatial``. Higher ones amplify the noise of the sensors, in proportion to the mass; lower ones leave
-light platforms to the errors of the motors."""
+"""(K_P, K_D) by kind of a rigid robot [1/s², 1/s]; other kinds have those of ``spatial``. Higher ones
+amplify the noise of the sensors, in proportion to the mass; lower ones leave light platforms to the
+errors of the motors."""
+
+SPRING_RATIO = 2.0
+"""Largest Ω of the gains of a flexible robot, which are at most those of ``spatial``, in units of that
+of :class:`~cablebot_baselines.laws.robust_design.RobustDesign`. Soft springs resonate with more."""
 
 SENSOR_BIASES = 4.5
 """Margin to the error bounds of the first plan in standard deviations of the bias of the sensors."""
@@ -197,7 +201,10 @@ def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> O
     period = 1 / task.control_frequency
     gains = by_kind(GAINS, robot)
     if robot.flexible:
-        gains = GAINS["spatial"]
+        design = RobustDesign(expectation=expectation, task=task, largest_payload=plan.payload)
+        largest = math.sqrt(GAINS["spatial"][0])
+        stiffness = min(largest, SPRING_RATIO * design.stiffness)
+        gains = stiffness**2, 2 * stiffness
     tracking = PlanLaw(robot, plan, period, gains=gains)
     law = _Tracking(tracking, expectation, largest_payload=plan.payload)
     law.reset([task])
@@ -306,7 +313,8 @@ class PlanSearch:
     def _startable(self, profile: MarginProfile) -> MarginProfile:
         """A profile without margins at the start that the springs cannot keep there."""
         robot = self._expectation.robot
-        if not (robot.flexible and robot.weightless):
+        is_stretched = robot.cables == robot.coordinates and not robot.weightless
+        if not robot.flexible or is_stretched:  # by the weight of the platform
             return profile
         least = self._margins(LEAST_MARGINS).tension
         ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
