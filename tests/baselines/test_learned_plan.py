@@ -101,6 +101,23 @@ def test_plan_keeps_its_limits_on_an_exactly_known_robot(robot):
 
 
 @pytest.mark.landing
+def test_errors_of_motors_do_not_turn_a_light_platform():
+    """Whose payload is unknown, and much heavier than itself."""
+    robot = find_robot("ttk4900")
+    policy = learned_plan(robot, weights_of(robot, "plan"))
+    env = gym.make_vec(
+        IDS[robot],
+        num_envs=4,
+        payload=np.array([0.0, 0.0, 1.2, 1.2]),
+        payload_known=False,
+        uncertainty="hardware",
+        trajectory={"name": f"loop-{robot.kind}", "seed": SEED},
+    )
+    assert not np.any([step.info["violated"] for step in drive(policy, env)])
+    assert policy.fallbacks == 0
+
+
+@pytest.mark.landing
 @each_of(FLEX_PLANAR, FLEX_SPATIAL)
 def test_motor_angles_balance_the_platform_along_the_plan(robot):
     plan = plan_of(robot, Margins())
