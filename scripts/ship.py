@@ -36,7 +36,7 @@ from cablebot_gym.utils.files import atomic_write_text, json_text
 
 def plan_run(folder: Path, optima: list[float | None]) -> dict[str, Any]:
     """Learning curve of ``train-plan`` on the motions whose optimum is known."""
-    rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2)
+    rows = np.loadtxt(folder / "progress.csv", delimiter=",", ndmin=2, skiprows=1)
     optimum = np.array(optima, float)
     fractions = (rows[:, 2:] / optimum)[:, np.isfinite(optimum)]
     return {

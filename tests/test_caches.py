@@ -1,12 +1,16 @@
 """Every cache on disk: a damaged file counts as absent, one line names it, and a good file replaces
 it."""
 
+from importlib.metadata import PackageNotFoundError
+
 import numpy as np
 import pytest
 
+from cablebot_gym.motions import find_trajectory
 from cablebot_gym.physics.compiling import code_cache
 from cablebot_gym.physics.compiling.loading import cached_njit
 from cablebot_gym.planning import PlannedMotion, library
+from cablebot_gym.robots import PLANAR
 
 MOTION = PlannedMotion(
     name="line",
@@ -80,3 +84,16 @@ def test_damaged_file_counts_as_absent(cache_name, damage, tmp_path, monkeypatch
     assert message.startswith(str(path))
     assert path.read_bytes() == good or cache_name == "compiled code"
     assert list(folder.iterdir()) == [path]
+
+
+def test_plans_are_cached_without_casadi(monkeypatch):
+    """Networks plan without it."""
+
+    def without_casadi(name):
+        if name == "casadi":
+            raise PackageNotFoundError(name)
+        return "1.0"
+
+    monkeypatch.setattr(library, "version", without_casadi)
+    motion = find_trajectory("circle-planar", "planar")
+    assert library.fingerprint("cablebot_gym.planning.motion", PLANAR, motion)

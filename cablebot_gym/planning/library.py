@@ -7,7 +7,7 @@ import json
 import platform
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
 from typing import Any
 
@@ -52,10 +52,12 @@ def fingerprint(module: str, robot: Robot, trajectory: Trajectory, **more: Any) 
 
 
 def _versions() -> list[str]:
-    return [
-        platform.python_version(),
-        *(version(name) for name in ("casadi", "numpy", "scipy", "numba")),
-    ]
+    """Versions of Python and of the packages that plan, of which CasADi may be missing."""
+    versions = [platform.python_version()]
+    for name in ("casadi", "numpy", "scipy", "numba"):
+        with suppress(PackageNotFoundError):
+            versions.append(version(name))
+    return versions
 
 
 def load_or_compute(

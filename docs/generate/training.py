@@ -41,20 +41,26 @@ def cards_of(kind: str) -> dict[str, Any]:
 
 def table(cards: dict[str, Any]) -> str:
     """Payloads of all seeds, and the command of the one that ships."""
-    rows = [["", "seeds", "minutes", "payload: IQM [95 %]", "of the shipped seed", "its command"]]
+    rows = [
+        [
+            "",
+            "seeds",
+            "minutes",
+            "IQM [95 %]",
+            "of each seed",
+            "payload of each seed [kg]",
+            "shipped",
+        ]
+    ]
     for env_id, card in cards.items():
-        runs = list(card["runs"].values())
+        runs = card["runs"].values()
         values: Any = np.concatenate([run["last"] for run in runs])
-        middle = f"{interquartile_mean(values):.3f}"
-        if len(values) > 1:
-            interval = bootstrap([values], interquartile_mean, rng=0).confidence_interval
-            middle += f" [{interval.low:.3f}, {interval.high:.3f}]"
+        interval = bootstrap([values], interquartile_mean, rng=0).confidence_interval
+        middle = f"{interquartile_mean(values):.3f} [{interval.low:.3f}, {interval.high:.3f}]"
         minutes = np.median([run["minutes"][-1] for run in runs])
-        run = card["runs"][str(card["seed"])]
-        shipped = f"{np.mean(run['last']):.3f}"
-        if "mean" in run:
-            shipped += f" ({run['mean']:.3f} kg)"
-        cells = [env_id, str(len(runs)), f"{minutes:.0f}", middle, shipped]
+        means = ", ".join(f"{np.mean(run['last']):.3f}" for run in runs)
+        payloads = ", ".join(f"{run['mean']:.3f}" for run in runs if "mean" in run)
+        cells = [env_id, ", ".join(card["runs"]), f"{minutes:.0f}", middle, means, payloads]
         rows.append([*cells, f"`{card['command']}`"])
     return markdown_table(rows)
 

@@ -187,11 +187,13 @@ def test_continued_training_gives_the_weights_of_a_single_run(tmp_path):
     )
     for name, values in whole.items():
         assert torch.equal(values, broken[name])
-    rows = np.loadtxt(tmp_path / "whole" / "progress.csv", delimiter=",")
+    rows = np.loadtxt(tmp_path / "whole" / "progress.csv", delimiter=",", skiprows=1)
     assert rows[0, 0] == 1
     assert rows[-1, 2:].tolist() == payloads
-    with pytest.raises(ValueError, match="is for robot 'planar': choose another --out"):
-        plan_training.train_plans(IDS[SPATIAL], out=tmp_path / "whole", steps=2)
+    for other in ({"env_id": IDS[SPATIAL]}, {"seed": 1}, {"steps": 3}):
+        settings = {"env_id": env_id, "steps": 2} | other
+        with pytest.raises(ValueError, match="'planar', seed 0 and 2 steps: choose another --out"):
+            plan_training.train_plans(**settings, out=tmp_path / "whole")
 
 
 @pytest.mark.usefixtures("few_motions")

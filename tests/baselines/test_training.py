@@ -57,6 +57,8 @@ def test_continued_run_has_the_model_and_the_ceiling_of_its_checkpoint(trained, 
     assert (out / "checkpoints" / "rl_model_120_steps.zip").exists()
     for mine, other in zip(again.policy.parameters(), model.policy.parameters(), strict=True):
         assert torch.equal(mine, other)
+    with pytest.raises(ValueError, match="that of seed 3: choose another --out"):
+        train(PLANAR, out=out, timesteps=120, n_envs=2, seed=4)
     with pytest.raises(ValueError, match=r"cannot be continued .*: choose another --out"):
         train("CableBot-Spatial-v0", out=out, timesteps=120, n_envs=2)
 

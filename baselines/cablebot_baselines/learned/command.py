@@ -44,13 +44,14 @@ def train_plan(
 ) -> None:
     """Train a network that plans motions, and write it to plan.zip.
 
-    Ctrl-C keeps the last checkpoint; the same line continues from it.
+    Ctrl-C keeps the last checkpoint; the same line continues from it. Robots with more coordinates
+    need more steps: the page on training has the commands of the shipped networks.
 
     Example: cablebot train-plan CableBot-Planar-v0 --out runs/plan
     """
     from cablebot_baselines.learned.plan_training import PLAN, train_plans
 
-    with progress("training", "steps") as step:
+    with progress("training") as step:
         payloads = train_plans(env_id, out=out, steps=steps, seed=seed, progress=step)
     mean = sum(payloads) / len(payloads)
     print(f"{out / PLAN}: {mean:.3f} kg, mean of {len(payloads)} motions that were not trained on")

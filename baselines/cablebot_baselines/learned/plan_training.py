@@ -115,7 +115,7 @@ def train_plans(
 
     Raises:
         ValueError: if an argument is invalid, the robot has more than one redundant cable, or ``out``
-            has the run of another robot.
+            has the run of another robot, seed or number of steps.
     """
     robot = find_robot(env_robot(env_id))
     whole("steps", steps, least=1)
@@ -152,7 +152,7 @@ class PlanTraining:
     def __init__(
         self, space: PlanSpace, *, steps: int, seed: int, progress: Step | None = None
     ) -> None:
-        self.space, self.steps, self.step, self.seconds = space, steps, 0, 0.0
+        self.space, self.steps, self.seed, self.step, self.seconds = space, steps, seed, 0, 0.0
         self.motions = problems(space, range(MOTIONS), progress)
         self.held_out = problems(space, HELD_OUT)
         self.payload = FIRST_PAYLOAD * self.motions.exact
@@ -242,6 +242,11 @@ class PlanTraining:
             margins[:, 2] = margins[:, 2].max(axis=-1, keepdims=True)
         return torch.tensor(np.swapaxes(margins, 1, 2).copy())
 
+    @property
+    def _run(self) -> str:
+        """What a run is continued with."""
+        return f"robot {self.space.robot.name!r}, seed {self.seed} and {self.steps} steps"
+
     def curve(self) -> list[float]:
         """Payloads that the average carries on the motions that are not trained on [kg]."""
         problem = self.held_out
@@ -263,27 +268,29 @@ class PlanTraining:
         state = {name: getattr(self, name) for name in _STATE}
         state |= {name: getattr(self, name).state_dict() for name in _MODULES}
         state["random"] = self._random.bit_generator.state
-        state["robot"] = self.space.robot.name
+        state["run"] = self._run
         atomic_write(out / "checkpoint.pt", partial(torch.save, state))
         buffer = BytesIO()  # in a file's archive, torch writes the name of the file
         torch.save(self.average.state_dict(), buffer)
         atomic_write(out / PLAN, lambda file: file.write_bytes(buffer.getvalue()))
-        lines = [",".join(map(str, row)) + "\n" for row in self.progress]
+        head = ["step", "processor seconds", *(f"payload of loop {seed} [kg]" for seed in HELD_OUT)]
+        table: list[list[Any]] = [head, *self.progress]
+        lines = [",".join(map(str, row)) + "\n" for row in table]
         atomic_write_text(out / "progress.csv", "".join(lines))
 
     def load(self, out: Path) -> None:
         """Continues from the checkpoint of a folder, if there is one.
 
         Raises:
-            ValueError: if it is that of another robot.
+            ValueError: if it is that of another run.
         """
         path = out / "checkpoint.pt"
         if not path.exists():
             return
         state = torch.load(path, weights_only=True)
-        if state["robot"] != self.space.robot.name:
+        if state["run"] != self._run:
             raise ValueError(
-                f"the run in {str(out)!r} is for robot {state['robot']!r}: choose another --out"
+                f"the run in {str(out)!r} is that of {state['run']}: choose another --out"
             )
         for name in _STATE:
             setattr(self, name, state[name])

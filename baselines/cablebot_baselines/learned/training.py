@@ -85,8 +85,8 @@ def train(
         progress: function called with the progress.
 
     Raises:
-        ValueError: if an argument is invalid, or the checkpoint in ``out`` does not fit the
-            environment or is damaged. No file is changed.
+        ValueError: if an argument is invalid, or the checkpoint in ``out`` is that of another
+            seed, does not fit the environment or is damaged. No file is changed.
     """
     whole("timesteps", timesteps, least=1)
     whole("seed", seed)
@@ -99,6 +99,10 @@ def train(
     with closing(envs):
         if done:
             model = _load(out, done, envs)
+            if model.seed != seed:
+                raise ValueError(
+                    f"the run in {str(out)!r} is that of seed {model.seed}: choose another --out"
+                )
             model.set_random_seed(seed + done)
         else:
             model = PPO("MlpPolicy", envs, seed=seed, **ppo_settings(n_envs))
