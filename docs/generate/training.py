@@ -62,6 +62,8 @@ def table(cards: dict[str, Any]) -> str:
         payloads = ", ".join(f"{run['mean']:.3f}" for run in runs if "mean" in run)
         cells = [env_id, ", ".join(card["runs"]), f"{minutes:.0f}", middle, means, payloads]
         rows.append([*cells, f"`{card['command']}`"])
+    if not payloads:  # those of `ppo` are in payloads of exact tracking
+        rows = [row[:-2] + row[-1:] for row in rows]
     return markdown_table(rows)
 
 
