@@ -86,7 +86,7 @@ def test_damaged_file_counts_as_absent(cache_name, damage, tmp_path, monkeypatch
     assert list(folder.iterdir()) == [path]
 
 
-def test_plans_are_cached_without_casadi(monkeypatch):
+def test_networks_cache_plans_with_the_packages_that_are_installed(monkeypatch):
     """Networks plan without it."""
 
     def without_casadi(name):

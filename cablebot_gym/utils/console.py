@@ -163,10 +163,8 @@ def _lines(console: Console, text: str, unit: str) -> Iterator[Step]:
             now = time.monotonic()
             elapsed = now - start
             before, began, _ = first
-            working = now - began
-            console.print(
-                progress_line(*latest, unit=unit, elapsed=elapsed, before=before, working=working)
-            )
+            pace = (latest[0] - before) / max(now - began, 1e-9)
+            console.print(progress_line(*latest, unit=unit, elapsed=elapsed, pace=pace))
 
     thread = threading.Thread(target=write, name="progress", daemon=True)
     thread.start()
@@ -178,33 +176,15 @@ def _lines(console: Console, text: str, unit: str) -> Iterator[Step]:
 
 
 def progress_line(
-    done: float,
-    expected: float,
-    text: str,
-    *,
-    unit: str,
-    elapsed: float,
-    before: float,
-    working: float,
+    done: float, expected: float, text: str, *, unit: str, elapsed: float, pace: float
 ) -> str:
-    """A line of a log: progress, elapsed time and time left at the mean pace.
-
-    Args:
-        done: finished units.
-        expected: units in all.
-        text: description of the computation.
-        unit: unit that is counted, as in :func:`progress`.
-        elapsed: time since the start [s].
-        before: units that were finished at the first report with this description.
-        working: time since then [s].
-    """
+    """A line of a log: progress, elapsed time [s] and time left at a pace in units per second."""
     count = f"{done:,.0f} of {expected:,.0f} {unit}"
     if unit == "%":
         count = f"{done / expected:.0%}"
     line = f"{text}: {count}, {timedelta(seconds=round(elapsed))} elapsed"
-    if done > before:
-        left = working * (expected - done) / (done - before)
-        line += f", {timedelta(seconds=round(left))} left"
+    if pace > 0:
+        line += f", {timedelta(seconds=round((expected - done) / pace))} left"
     return line
 
 

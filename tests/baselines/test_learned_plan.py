@@ -101,7 +101,7 @@ def test_plan_keeps_its_limits_on_an_exactly_known_robot(robot):
 
 
 @pytest.mark.landing
-def test_errors_of_motors_do_not_turn_a_light_platform():
+def test_light_platform_keeps_its_pose_with_errors_of_motors():
     """Whose payload is unknown, and much heavier than itself."""
     robot = find_robot("ttk4900")
     policy = learned_plan(robot, weights_of(robot, "plan"))

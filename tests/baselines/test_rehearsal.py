@@ -28,7 +28,6 @@ from cablebot_gym.task import ErrorBounds
 from cablebot_gym.uncertainty import find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
-HARDWARE = find_uncertainty("hardware", TASK.robot)
 TIMES = np.arange(1, 201) / TASK.control_frequency
 
 
@@ -80,11 +79,11 @@ def test_overloaded_cable_fails_a_rehearsal():
 def test_plan_that_misses_the_reserves_is_better_than_none(monkeypatch, error, is_planned):
     """One that misses the limits themselves is not."""
     motion = Mock(payload=2.0)
-    position = np.full((6, 200), error)
-    rehearsed_plan = rehearsal([0, 0, 1, 1, 2, 2], position=position)
-    search = PlanSearch(Mock(first=Mock(return_value=(Mock(), motion))), TASK, HARDWARE)
-    search._planner.first.return_value[0].resolve.return_value = motion
-    monkeypatch.setattr(rehearsed, "rehearse", lambda *_: rehearsed_plan)
+    program = Mock(**{"resolve.return_value": motion})
+    planner = Mock(**{"first.return_value": (program, motion)})
+    search = PlanSearch(planner, TASK, find_uncertainty("hardware", TASK.robot))
+    episodes = rehearsal([0, 2], position=np.full((2, 200), error))
+    monkeypatch.setattr(rehearsed, "rehearse", lambda *_: episodes)
     monkeypatch.setattr(rehearsed, "tracking_law", Mock())
     monkeypatch.setattr(rehearsed, "spread_margins", lambda *_: MarginProfile.zeros(TIMES, 3))
     if is_planned:
@@ -106,7 +105,7 @@ def test_jump_that_comes_a_period_later_needs_no_margin():
     assert margins.position.max() == margins.rotation.max() == 0.0
 
 
-def test_spread_far_above_the_least_tension_needs_no_margin_of_redundant_cables():
+def test_margin_of_redundant_cables_follows_the_spread_at_the_least_tension():
     """Their law keeps a least tension, so the margin to it is the same all the time: a jump at which
     the tensions are high must not raise it."""
     tension = np.full((2, 200), 5.0)

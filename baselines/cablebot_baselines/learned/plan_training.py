@@ -127,16 +127,14 @@ def train_plans(
         training = PlanTraining(space, steps=steps, seed=seed, progress=progress)
         training.load(out)
         every = max(1, steps // PARTS)
-        if progress is not None:
-            progress(training.step, steps, "training")
         while training.step < steps:
+            if progress is not None:
+                progress(training.step, steps, "training")
             training.learn()
             if training.step % every == 0 or training.step == steps:
                 row = [training.step, round(training.seconds, 1), *training.curve()]
                 training.progress.append(row)
                 training.save(out)
-            if progress is not None:
-                progress(training.step, steps, "training")
     return training.progress[-1][2:]
 
 
