@@ -291,20 +291,28 @@ class MotionProgram:
         points = interpolate(poses.knots, poses.degree, positions)
         z[poses.at] = (points - poses.base) / poses.scale
         z[self._payload_at] = start.payload
-        motion = start(self._instants)
         for index, fixed_mass in enumerate(self._masses()):
             mass = fixed_mass
             if mass is None:
                 mass = robot.mass + start.payload
+            times = self._instants
             if robot.flexible:
                 spline = self._motors[index]
                 times = greville(spline.knots, spline.degree)
-                angles, _, _ = start.motor_motion(times, np.full(len(times), mass - robot.mass))
+            motion = start(times)
+            tensions = textbook.required_tensions(
+                robot,
+                mass,
+                motion.position,
+                motion.velocity,
+                motion.acceleration,
+                minimum=self._least,
+                strict=False,
+            )
+            if robot.flexible:
+                angles = textbook.rest_angles(robot, tensions, motion.position)
                 z[spline.at] = interpolate(spline.knots, spline.degree, angles) - spline.base
             else:
-                tensions = textbook.required_tensions(
-                    robot, mass, motion.position, motion.velocity, motion.acceleration, strict=False
-                )
                 z[self._tensions[index]] = tensions / TENSION
         return z
 

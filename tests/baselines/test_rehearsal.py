@@ -6,7 +6,6 @@ from unittest.mock import Mock
 import gymnasium as gym
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
@@ -19,12 +18,8 @@ from cablebot_baselines.planners.rehearsal import (
     grown_margins,
     spread_margins,
 )
-from cablebot_baselines.planners.rehearsed import PlanSearch, with_lighter_payload
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.physics import textbook
-from cablebot_gym.planning import Infeasible, MarginProfile, MotionProgram
-from cablebot_gym.robots import FLEX_PLANAR
-from cablebot_gym.task import ErrorBounds
+from cablebot_baselines.planners.rehearsed import PlanSearch
+from cablebot_gym.planning import Infeasible, MarginProfile
 from cablebot_gym.uncertainty import find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
@@ -147,19 +142,3 @@ def test_exceeded_limits_get_larger_margins_at_their_times():
     margins = grown_margins(MarginProfile.zeros(TIMES, 3), rehearsal([0.0], tension=tension))
     assert margins.tension[100] == pytest.approx(0.5 * GROWTH)
     assert margins.tension[50] == margins.position.max() == margins.action.max() == 0.0
-
-
-@pytest.mark.landing
-def test_motor_angles_balance_a_lighter_payload_on_a_plan():
-    """A program with both payloads then starts near its solution."""
-    motion = find_trajectory({"name": "line-planar", "duration": 0.4, "dwell": 0.1}, "planar")
-    plan = MotionProgram(FLEX_PLANAR, motion, ErrorBounds(), intervals=20, period=2e-3).solve()
-    both = with_lighter_payload(plan, FLEX_PLANAR, 0.0)
-    times = np.linspace(0.0, motion.duration, 50)
-    angle, _, _ = both.motor_motion(times, np.zeros(50))
-    planned = both(times)
-    pulley = textbook.pulley_angle(FLEX_PLANAR, planned.position)
-    tensions = FLEX_PLANAR.stiffness * (angle - pulley) / FLEX_PLANAR.pulley_radius
-    structure = textbook.jacobian(FLEX_PLANAR, planned.position)
-    wrench = -np.einsum("tmn,tm->tn", structure, tensions)
-    assert_allclose(wrench, FLEX_PLANAR.mass * planned.acceleration, atol=1.0)

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.interpolate import make_lsq_spline
 
 from cablebot_baselines.laws.observer_law import Instant, ObserverLaw
 from cablebot_baselines.laws.outer_loop import by_kind
@@ -34,7 +33,6 @@ from cablebot_gym.planning import (
     PlannedMotion,
 )
 from cablebot_gym.planning.library import cached_plan
-from cablebot_gym.planning.motion import MOTOR_DEGREE
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import Uncertainty
@@ -75,9 +73,6 @@ LEAST_MARGINS = Margins(position=0.01, rotation=0.01, action=0.005, tension=1.0)
 SPRING_RESERVE = 0.9
 """Largest margin to the minimum tension of the first plan of springs, as a fraction of that at the
 start."""
-
-SAMPLES_PER_KNOT = 4
-"""Samples of the motor angles from which their spline for another payload is made."""
 
 SPRING_RATE = 100.0
 """How fast the margin to the minimum tension of springs may grow from that at the start [N/s]."""
@@ -177,8 +172,7 @@ def first_optimum(
     if not robot.flexible:
         return program, program.solve()
     few = max(MINIMUM_INTERVALS, round(intervals / COARSE))
-    coarse = MotionProgram(*motion, intervals=few, **settings).solve()
-    start = with_lighter_payload(coarse, robot, lightest)
+    start = MotionProgram(*motion, intervals=few, **settings).solve()
     try:
         return program, program.solve(start, near=True)
     except Infeasible:
@@ -334,25 +328,3 @@ def largest_tension_margin(robot: Robot) -> float:
 def _reserve(robot: Robot) -> float:
     """Margin of the springs at the start to the minimum tension [N]."""
     return textbook.allocated_minimum(robot) - robot.minimum_tension
-
-
-def with_lighter_payload(plan: PlannedMotion, robot: Robot, lightest: float) -> PlannedMotion:
-    """A plan of a flexible robot with motor angles for the lightest payload too, as a start of a
-    program with two payloads: those for the tensions that its motion requires."""
-    inner = plan.degree - MOTOR_DEGREE
-    knots = plan.knots[inner:-inner]
-    times = np.linspace(0.0, plan.duration, SAMPLES_PER_KNOT * len(knots))
-    motion = plan(times)
-    mass = np.full(len(times), robot.mass + lightest)
-    tensions = textbook.required_tensions(
-        robot,
-        mass,
-        motion.position,
-        motion.velocity,
-        motion.acceleration,
-        minimum=plan.minimum_tension,
-        strict=False,
-    )
-    angles = textbook.rest_angles(robot, tensions, motion.position)
-    points: Array = make_lsq_spline(times, angles, knots, MOTOR_DEGREE).c
-    return replace(plan, motors=(plan.motors[0], points), lightest=lightest)
