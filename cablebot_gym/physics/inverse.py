@@ -16,7 +16,7 @@ from cablebot_gym.physics.kernel import rows
 from cablebot_gym.physics.plant import form_of, pack_parameters
 from cablebot_gym.physics.textbook import InverseDynamics
 from cablebot_gym.robots import Robot
-from cablebot_gym.utils.checks import all_finite, number
+from cablebot_gym.utils.checks import all_finite
 
 
 @lru_cache(maxsize=64)
@@ -33,7 +33,7 @@ def inverse_dynamics(
     velocity: ArrayLike,
     acceleration: ArrayLike,
     *,
-    minimum: float = 0.0,
+    minimum: ArrayLike = 0.0,
     distribute: Callable[..., Array] = textbook.least_action_tensions,
 ) -> InverseDynamics:
     """Inverse dynamics as in :func:`cablebot_gym.physics.textbook.drives.inverse_dynamics` with
@@ -49,7 +49,8 @@ def inverse_dynamics(
         pose: X, shape (..., n).
         velocity: Ẋ, shape (..., n).
         acceleration: Ẍ, shape (..., n).
-        minimum: minimum tension with more cables than coordinates [N]; has no effect otherwise.
+        minimum: minimum tension with more cables than coordinates, shape (...) [N]; has no effect
+            otherwise.
         distribute: tensions of redundant cables, other than those of a point mass in a plane:
             :func:`~cablebot_gym.physics.textbook.drives.least_action_tensions`, or
             :func:`~cablebot_gym.physics.textbook.drives.central_tensions` for laws, which need
@@ -58,23 +59,25 @@ def inverse_dynamics(
     Raises:
         ValueError: if the shapes do not match the robot or each other, or a number is not finite.
     """
-    number("minimum", minimum)
+    all_finite("minimum", minimum)
     masses, motion = _checked(robot, mass, pose, velocity, acceleration)
     shape = (*masses.shape, robot.cables)
     results = np.empty((4, *shape))
+    minima = np.empty_like(masses)
+    minima[...] = minimum
     if robot.cables > robot.coordinates and robot.kind != "planar":
         required = demands(robot, masses, motion)
         results[2] = required.speeds
         results[3] = required.pulley_accelerations
         results[0] = distribute(
-            robot, required.structure, required.load, results[2], results[3], minimum
+            robot, required.structure, required.load, results[2], results[3], minima[..., None]
         )
         results[1] = textbook.motor_torques(robot, results[0], *results[2:])
     else:
         form, packed = _prepared(robot)
         items = masses.reshape(-1), motion.reshape(3, -1, robot.coordinates)
         kernel.compiled(form, rows.LANES).required(
-            packed, float(minimum), *_memory(form), *items, results.reshape(4, -1, robot.cables)
+            packed, minima.reshape(-1), *_memory(form), *items, results.reshape(4, -1, robot.cables)
         )
     tensions, torques, speeds, accelerations = results
     return InverseDynamics(

@@ -32,7 +32,7 @@ class Compiled(NamedTuple):
     """``(parameters, minimum, p, w, mass, motion, results)``: tensions, torques, pulley speeds and
     pulley accelerations (4, N, m), in the order of TENSIONS to PULLEY_ACCELERATIONS. As many cables as
     coordinates: the unique tensions; more cables, only of point masses in a plane: the smallest
-    tensions of at least ``minimum``."""
+    tensions of at least ``minimum``, one for each motion."""
     demanded: Any
     """``(parameters, p, w, mass, motion, structure, load, y, results)``: what a tension distribution
     needs, ``−Sᵀ T = load``, and pulley speeds and pulley accelerations (2, N, m). The coordinates

@@ -150,16 +150,18 @@ def _two_tensions(w, at, lanes):
 
 
 @inline
-def _planar_tensions(form, minimum, w, lanes):
-    """Smallest T with Σ u_i T_i = f and T_i ≥ ``minimum``, pair by pair as
-    :func:`textbook.tension_distribution`."""
+def _planar_tensions(form, minimum, start, w, lanes):
+    """Smallest T with Σ u_i T_i = f and T_i ≥ the ``minimum`` of each robot, from ``start`` on, pair
+    by pair as :func:`textbook.tension_distribution`."""
+    last = minimum.shape[0] - 1
     for at in range(lanes):
+        least = minimum[min(start + at, last)]
         fx = w[LOAD * lanes + at]
         fy = w[(LOAD + 1) * lanes + at]
         for i in range(form.cables):
             row = FIRST_CABLE + CABLE_ROWS * i + ROW
-            fx = fx - minimum * w[row * lanes + at]
-            fy = fy - minimum * w[(row + 1) * lanes + at]
+            fx = fx - least * w[row * lanes + at]
+            fy = fy - least * w[(row + 1) * lanes + at]
         w[LOAD * lanes + at] = fx
         w[(LOAD + 1) * lanes + at] = fy
         w[LEAST_SUM * lanes + at] = np.inf
@@ -177,7 +179,7 @@ def _planar_tensions(form, minimum, w, lanes):
             elif w[(PAIR + 1) * lanes + at] == i:
                 pull = w[(PAIR + 3) * lanes + at]
             row = FIRST_CABLE + CABLE_ROWS * i + RESULTS + TENSIONS
-            w[row * lanes + at] = minimum + max(pull, 0.0)
+            w[row * lanes + at] = minimum[min(start + at, last)] + max(pull, 0.0)
 
 
 @inline
@@ -288,7 +290,7 @@ def required_tiles(form, lanes, parameters, minimum, p, w, mass, motion, results
             for at in range(lanes):
                 _two_tensions(w, at, lanes)
         else:
-            _planar_tensions(form, minimum, w, lanes)
+            _planar_tensions(form, minimum, start, w, lanes)
         for i in range(form.cables):
             for at in range(lanes):
                 _required_motor(form, p, w, at, lanes, i)

@@ -300,7 +300,7 @@ def least_action_tensions(
     load: Array,
     speed: Array,
     acceleration: Array,
-    minimum: float,
+    minimum: ArrayLike,
     *,
     strict: bool = False,
 ) -> Array:
@@ -318,7 +318,7 @@ def least_action_tensions(
         load: D Ẍ + h, shape (..., n).
         speed: pulley speeds β̇, shape (..., m) [rad/s].
         acceleration: pulley accelerations β̈, shape (..., m) [rad/s²].
-        minimum: least tension [N].
+        minimum: least tension, a number or one for each cable, (..., m) [N].
         strict: whether a load that no tensions above the minimum hold raises an error.
 
     Raises:
@@ -332,7 +332,7 @@ def least_action_tensions(
         structure, as_numbers(load), minimum, slope, offset, weights=weights
     )
     if strict and np.any(distribution.status != HELD):
-        raise ValueError(f"no cable tensions of at least {minimum:g} N give this wrench")
+        raise ValueError(f"no cable tensions of at least {np.min(minimum):g} N give this wrench")
     return distribution.tensions
 
 
@@ -342,7 +342,7 @@ def central_tensions(
     load: Array,
     speed: Array,
     acceleration: Array,
-    minimum: float,
+    minimum: ArrayLike,
 ) -> Array:
     """Tensions of redundant cables that change smoothly along a motion, shape (..., m) [N]: those of
     :func:`~cablebot_gym.physics.tensions.distribution.unchecked_central`, or in a pose where S is singular those of
