@@ -11,7 +11,7 @@
 
 from cablebot_gym.planning.blocks import clamped_knots, greville
 from cablebot_gym.planning.following import Follower, State
-from cablebot_gym.planning.motion import MarginProfile, Margins, PlannedMotion
+from cablebot_gym.planning.motion import MarginProfile, Margins, PlannedMotion, PlannedMotions
 from cablebot_gym.planning.program import Infeasible, MotionProgram
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "Margins",
     "MotionProgram",
     "PlannedMotion",
+    "PlannedMotions",
     "State",
     "clamped_knots",
     "greville",

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import inverse_dynamics
-from cablebot_gym.planning.motion import PlannedMotion
+from cablebot_gym.planning.motion import PlannedMotion, PlannedMotions
 from cablebot_gym.robots import Robot
 
 
@@ -69,11 +70,11 @@ class Follower:
 
     def action(
         self,
-        plan: PlannedMotion,
+        plan: PlannedMotion | PlannedMotions,
         state: State,
         payload: Array,
         period: float,
-        minimum_tension: float | None = None,
+        minimum_tension: ArrayLike | None = None,
     ) -> Array:
         """Actions for the torques of :meth:`torques`, shape (..., m)."""
         torques, motor_speeds = self.torques(plan, state, payload, period, minimum_tension)
@@ -81,21 +82,21 @@ class Follower:
 
     def torques(
         self,
-        plan: PlannedMotion,
+        plan: PlannedMotion | PlannedMotions,
         state: State,
         payload: Array,
         period: float,
-        minimum_tension: float | None = None,
+        minimum_tension: ArrayLike | None = None,
     ) -> tuple[Array, Array]:
         """Requested torques [N·m] and present motor speeds [rad/s], each (..., m).
 
         Args:
-            plan: planned motion, with motor angles if the robot is flexible.
+            plan: planned motion, or one for each row, with motor angles if the robot is flexible.
             state: state at the control instant.
             payload: payload of the controller's model [kg], shape (...).
             period: control period, over which the torque is constant [s].
-            minimum_tension: minimum tension of redundant cables of a rigid robot in this period
-                [N]; None for that of the plan.
+            minimum_tension: minimum tension of redundant cables of a rigid robot in this period, shape
+                (...) [N]; None for that of the plan.
         """
         planned = plan(state.time)
         pose_error = planned.position - state.pose
@@ -122,7 +123,7 @@ class Follower:
         payload: Array,
         period: float,
         acceleration: Array,
-        minimum_tension: float,
+        minimum_tension: ArrayLike,
     ) -> tuple[Array, Array]:
         """Torques [N·m] and present motor speeds [rad/s] of a rigid robot, each (..., m): inverse
         dynamics at the middle of the period.
@@ -132,7 +133,7 @@ class Follower:
             payload: payload of the controller's model [kg], shape (...).
             period: control period [s].
             acceleration: platform acceleration Ẍ over the period, shape (..., n) [m/s², rad/s²].
-            minimum_tension: minimum tension of all cables [N].
+            minimum_tension: minimum tension of all cables, shape (...) [N].
         """
         mass = self.robot.mass + payload
         half_period = period / 2
@@ -145,7 +146,12 @@ class Follower:
         return required.torques, present.speeds
 
     def _motor_pd(
-        self, plan: PlannedMotion, state: State, payload: Array, period: float, correction: Array
+        self,
+        plan: PlannedMotion | PlannedMotions,
+        state: State,
+        payload: Array,
+        period: float,
+        correction: Array,
     ) -> tuple[Array, Array]:
         """Torques [N·m] and measured motor speeds [rad/s] of a flexible robot, each (..., m):
         feedforward at the middle of the period, and PD control of the motor angles.

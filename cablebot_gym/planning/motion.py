@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.interpolate import BSpline
+from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.motions import Reference
+from cablebot_gym.motions import ORDERS, Reference
+from cablebot_gym.motions.pieces import Pieces
 from cablebot_gym.utils.checks import number
 
 MOTOR_DEGREE = 3
@@ -126,49 +126,27 @@ class PlannedMotion:
 
     def __call__(self, times: ArrayLike) -> Reference:
         """The motion at ``times`` [s]. After its end the robot rests at the last pose."""
-        times = np.asarray(times, float)
-        values = [spline(np.clip(times, 0.0, self.duration)) for spline in self._derivatives]
-        for value in values[1:]:
-            value[times > self.duration] = 0.0
-        position, velocity, acceleration, jerk, snap = values
-        return Reference(
-            position=position, velocity=velocity, acceleration=acceleration, jerk=jerk, snap=snap
-        )
-
-    @cached_property
-    def _derivatives(self) -> list[Any]:
-        """Splines of the derivatives 0 to 4; those above the degree are zero."""
-        spline, zero = (
-            BSpline(self.knots, values, self.degree) for values in (self.poses, 0 * self.poses)
-        )
-        return [spline, *(spline.derivative(d) if d <= self.degree else zero for d in (1, 2, 3, 4))]
+        return self._alone(times)
 
     def motor_motion(self, times: ArrayLike, payload: ArrayLike) -> tuple[Array, Array, Array]:
-        """Motor angles β′ [rad], speeds β̇′ and accelerations β̈′ of a flexible robot, each (...,
-        m).
-
-        With two planned payloads they are affine in the payload, like the balance of forces.
-
-        Args:
-            times: times since the start of the motion [s].
-            payload: payload [kg].
-        """
-        values = [spline(np.clip(times, 0.0, self.duration)) for spline in self._motor_derivatives]
-        if len(self.motors) == 1:
-            angle, speed, acceleration = (value[..., 0, :] for value in values)
-        else:
-            fraction = (np.asarray(payload, float) - self.lightest) / (self.payload - self.lightest)
-            angle, speed, acceleration = (
-                value[..., 1, :] + fraction[..., None] * (value[..., 0, :] - value[..., 1, :])
-                for value in values
-            )
-        return angle, speed, acceleration
+        """As :meth:`PlannedMotions.motor_motion`."""
+        return self._alone.motor_motion(times, payload)
 
     @cached_property
-    def _motor_derivatives(self) -> list[Any]:
+    def _alone(self) -> PlannedMotions:
+        return PlannedMotions([self])
+
+    @cached_property
+    def pose_pieces(self) -> Pieces:
+        """X."""
+        return Pieces.of_spline(self.knots, self.poses, self.degree)
+
+    @cached_property
+    def motor_pieces(self) -> Pieces:
+        """β′ with the heaviest payload and, if planned, with the lightest one, one after the other."""
         inner = self.degree - MOTOR_DEGREE
-        spline = BSpline(self.knots[inner:-inner], np.stack(self.motors, axis=1), MOTOR_DEGREE)
-        return [spline, spline.derivative(1), spline.derivative(2)]
+        points = np.concatenate(self.motors, axis=1)
+        return Pieces.of_spline(self.knots[inner:-inner], points, MOTOR_DEGREE)
 
     def to_arrays(self) -> dict[str, Array]:
         """The motion as arrays by name, which :meth:`from_arrays` reads."""
@@ -199,3 +177,57 @@ class PlannedMotion:
             lightest=lightest,
             minimum_tension=tension,
         )
+
+
+class PlannedMotions:
+    """Planned motions of a batch, one for each row, evaluated together.
+
+    Args:
+        plans: the motion of each row, or one for all. All are of the same kind of robot.
+    """
+
+    def __init__(self, plans: Sequence[PlannedMotion]) -> None:
+        distinct = list(dict.fromkeys(plans))
+        self._curve: int | NDArray[np.int64] = 0
+        if len(distinct) > 1:
+            self._curve = np.array([distinct.index(plan) for plan in plans])
+        self._poses = Pieces.joined([plan.pose_pieces for plan in distinct])
+        self._motors: Pieces | None = None
+        if distinct[0].motors:
+            self._motors = Pieces.joined([plan.motor_pieces for plan in distinct])
+        self._payloads = len(distinct[0].motors)
+        self.duration = self._of("duration", distinct)
+        """Duration of each motion [s]; one number if there is one for all, as in the next values."""
+        self.payload = self._of("payload", distinct)
+        """Heaviest payload [kg]."""
+        self.lightest = self._of("lightest", distinct)
+        """Lightest payload [kg]."""
+        self.minimum_tension = self._of("minimum_tension", distinct)
+        """Minimum tension of all cables [N]."""
+
+    def _of(self, name: str, distinct: Sequence[PlannedMotion]) -> Array:
+        values: Array = np.array([getattr(plan, name) for plan in distinct])[self._curve]
+        return values
+
+    def __call__(self, times: ArrayLike) -> Reference:
+        """The motions at ``times`` [s]. After its end a robot rests at its last pose."""
+        derivatives = self._poses(self._curve, np.asarray(times, float), len(ORDERS))
+        return Reference(**dict(zip(ORDERS, derivatives, strict=True)))
+
+    def motor_motion(self, times: ArrayLike, payload: ArrayLike) -> tuple[Array, Array, Array]:
+        """Motor angles β′ [rad], speeds β̇′ and accelerations β̈′ of flexible robots, each (..., m).
+
+        With two planned payloads they are affine in the payload, like the balance of forces.
+
+        Args:
+            times: times since the start of the motion [s].
+            payload: payload [kg].
+        """
+        assert self._motors is not None
+        values = self._motors(self._curve, np.asarray(times, float), 3)
+        if self._payloads > 1:
+            heaviest, lightest = np.split(values, 2, axis=-1)
+            fraction = (payload - self.lightest) / (self.payload - self.lightest)
+            values = lightest + fraction[..., None] * (heaviest - lightest)
+        angle, speed, acceleration = values
+        return angle, speed, acceleration

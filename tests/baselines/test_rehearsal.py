@@ -132,7 +132,7 @@ def test_soft_springs_get_lower_gains(monkeypatch, env_id, stiffness):
     monkeypatch.setattr(rehearsed, "PlanLaw", law)
     expectation = Expectation.of(task.robot, find_uncertainty("hardware", task.robot))
     with pytest.raises(RuntimeError, match="stop"):
-        rehearsed.tracking_law(Mock(payload=5.0), expectation, task)
+        rehearsed.tracking_law([Mock(payload=5.0)], expectation, [task])
     assert law.call_args.kwargs["gains"] == pytest.approx((stiffness**2, 2 * stiffness), rel=0.02)
 
 

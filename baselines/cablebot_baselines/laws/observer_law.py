@@ -78,8 +78,8 @@ class ObserverLaw(ClassicalLaw):
     Args:
         law: control law without memory for the expected robot.
         expectation: what is expected of the robot.
-        largest_payload: largest payload that is considered possible if the payload is unknown [kg];
-            None for ``payload_prior`` times that with which the motors can track the reference of
+        largest_payload: largest payload that is considered possible if the payload is unknown, one
+            number or (N,) [kg]; None for ``payload_prior`` times that with which the motors can track the reference of
             the task exactly.
         payload_prior: a multiple, as above.
     """
@@ -93,7 +93,7 @@ class ObserverLaw(ClassicalLaw):
         law: ClassicalLaw,
         expectation: Expectation,
         *,
-        largest_payload: float | None = None,
+        largest_payload: float | Array | None = None,
         payload_prior: float = 1.0,
     ) -> None:
         super().__init__(law.robot, minimum_tension=law.minimum_tension)
@@ -123,11 +123,11 @@ class ObserverLaw(ClassicalLaw):
         if len(groups) == 1:
             self._motions = [(tasks[0], slice(None))]  # serves any number of episodes
         payloads = np.zeros(len(tasks))
-        for task, rows in self._motions:
-            largest = self.largest_payload
-            if largest is None:
-                largest = self._payload_prior * possible_payload(self.robot, task)
-            payloads[rows] = largest
+        if self.largest_payload is not None:
+            payloads += self.largest_payload
+        else:
+            for task, rows in self._motions:
+                payloads[rows] = self._payload_prior * possible_payload(self.robot, task)
         self._prepare(payloads)
         period = 1 / tasks[0].control_frequency
         self.observer = RobotObserver(self.expectation, period, largest_payload=payloads)

@@ -1,7 +1,8 @@
-"""Laws that track a planned motion."""
+"""Laws that track planned motions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.adaptive import Adaptive, EstimatorState
 from cablebot_baselines.laws.law import Array, ClassicalLaw
 from cablebot_gym.physics import textbook
-from cablebot_gym.planning import Follower, PlannedMotion, State
+from cablebot_gym.planning import Follower, PlannedMotion, PlannedMotions, State
 from cablebot_gym.robots import Robot
 
 ESTIMATOR_PRIOR_WEIGHT = 1e-4
@@ -27,11 +28,11 @@ weight.
 
 
 class PlanLaw(ClassicalLaw):
-    """Tracks one planned motion with a given mass.
+    """Tracks planned motions with given masses.
 
     Args:
         robot: nominal robot.
-        plan: planned motion.
+        plans: planned motion of each row of a batch, or one for all.
         period: control period [s].
         gains: (K_P, K_D) of the platform's pose error [1/s², 1/s].
         reserve: tension of redundant cables above the minimum tension of the robot [N].
@@ -40,7 +41,7 @@ class PlanLaw(ClassicalLaw):
     def __init__(
         self,
         robot: Robot,
-        plan: PlannedMotion,
+        plans: Sequence[PlannedMotion],
         period: float,
         *,
         gains: tuple[float, float],
@@ -48,11 +49,13 @@ class PlanLaw(ClassicalLaw):
     ) -> None:
         super().__init__(robot, minimum_tension=robot.minimum_tension + reserve)
         self._follower = Follower(robot=robot, gains=gains)
-        self._plan, self._period = plan, period
+        self.plan = PlannedMotions(plans)
+        """The planned motions."""
+        self._period = period
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
-        plan = self._plan
+        plan = self.plan
         time = plan.duration - blocks["time_to_go"][..., 0]
         if "disturbance" in blocks:
             # An error of the pose makes the feedback cancel a known acceleration.
@@ -71,21 +74,19 @@ class PlanLaw(ClassicalLaw):
 
 
 class AdaptivePlanLaw(Adaptive):
-    """Tracks one planned motion and estimates the payload with the acceleration of the plan as
-    weight.
+    """Tracks planned motions and estimates the payload with the acceleration of the plan as weight.
 
     When the plan moves below the reference, it accelerates downward at g/2 or more. The reference
     acceleration does not contain this motion. As a weight it would overrate the small remaining
     cable forces.
 
     Args:
-        law: law that tracks the plan.
-        plan: planned motion.
+        law: law that tracks the plans.
     """
 
-    def __init__(self, law: PlanLaw, plan: PlannedMotion) -> None:
+    def __init__(self, law: PlanLaw) -> None:
         super().__init__(law, estimator_prior_weight=ESTIMATOR_PRIOR_WEIGHT)
-        self._plan = plan
+        self._plan = law.plan
 
     def respond(
         self, blocks: dict[str, Array], state: Any = None, episode_start: Any = None

@@ -4,7 +4,7 @@ payload."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -183,30 +183,37 @@ OPTIMAL = Planner(name="trajopt", first=first_optimum, module=__name__)
 """Plans by trajectory optimisation."""
 
 
-def tracking_law(plan: PlannedMotion, expectation: Expectation, task: Task) -> ObserverLaw:
-    """The law that tracks a plan on a robot that is not exactly known.
+def tracking_law(
+    plans: Sequence[PlannedMotion], expectation: Expectation, tasks: Sequence[Task]
+) -> ObserverLaw:
+    """The law that tracks plans on robots that are not exactly known.
 
     Args:
-        plan: the plan.
+        plans: plan of each row of a batch, or one for all.
         expectation: what is expected of the robot.
-        task: the task.
+        tasks: tasks of the plans.
     """
     robot = expectation.robot
-    period = 1 / task.control_frequency
+    period = 1 / tasks[0].control_frequency
     gains = by_kind(GAINS, robot)
     if robot.flexible:
-        design = RobustDesign(expectation=expectation, task=task, largest_payload=plan.payload)
         largest = math.sqrt(GAINS["spatial"][0])
-        stiffness = min(largest, SPRING_RATIO * design.stiffness)
+        stiffness = min(largest, SPRING_RATIO * _design(expectation, tasks[0]).stiffness)
         gains = stiffness**2, 2 * stiffness
-    tracking = PlanLaw(robot, plan, period, gains=gains)
-    law = _Tracking(tracking, expectation, largest_payload=plan.payload)
-    law.reset([task])
+    tracking = PlanLaw(robot, plans, period, gains=gains)
+    law = _Tracking(tracking, expectation, largest_payload=tracking.plan.payload)
+    law.reset(tasks)
     return law
 
 
+def _design(expectation: Expectation, task: Task) -> RobustDesign:
+    """Gains and tensions of ``observing`` for payloads up to the mass of the platform."""
+    largest = float(expectation.robot.mass)
+    return RobustDesign(expectation=expectation, task=task, largest_payload=largest)
+
+
 class _Tracking(ObserverLaw):
-    """A law that tracks its own plan, which the reference of the task does not concern."""
+    """A law that tracks its own plans, which the references of the tasks do not concern."""
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], Any]:
         """No blocks: the law reads the time to go."""
@@ -270,13 +277,11 @@ class PlanSearch:
         robot = self._expectation.robot
         if not keeps_least_tension(robot):
             return FIRST_MARGINS
-        design = RobustDesign(
-            expectation=self._expectation, task=self._task, largest_payload=float(robot.mass)
-        )
-        return replace(FIRST_MARGINS, tension=design.minimum_tension - robot.minimum_tension)
+        least = _design(self._expectation, self._task).minimum_tension
+        return replace(FIRST_MARGINS, tension=least - robot.minimum_tension)
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
-        law = tracking_law(plan, self._expectation, self._task)
+        law = tracking_law([plan], self._expectation, [self._task])
         payloads = [fraction * plan.payload for fraction in fractions]
         return rehearse(law, self._task, self._uncertainty, payloads)
 

@@ -16,7 +16,7 @@ from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
 from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_baselines.laws.law import Array, ClassicalLaw
-from cablebot_baselines.laws.observer_law import UNCERTAINTY, ObserverLaw
+from cablebot_baselines.laws.observer_law import UNCERTAINTY
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, PlanLaw
 from cablebot_baselines.planners.rehearsed import (
@@ -103,9 +103,10 @@ class TrajOpt:
         self.planner = planner
         self.fallbacks = 0
         """Number of episodes without a plan since the last :meth:`reset`."""
-        # Environments with the same plan and their law.
-        self._groups: list[tuple[NDArray[np.intp], ClassicalLaw]] = []
-        self._laws: dict[Any, tuple[Trajectory, ClassicalLaw | None]] = {}
+        # The laws, and the rows of a batch in which each acts.
+        self._laws: list[tuple[NDArray[np.intp], ClassicalLaw]] = []
+        self._plans: dict[Any, tuple[Trajectory, PlannedMotion | None]] = {}
+        self._expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
         self._reference_law = make_adaptive(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
@@ -114,16 +115,18 @@ class TrajOpt:
         Raises:
             ValueError: if a task's robot differs from the policy's robot in kind or anchors.
         """
-        self._reference_law.reset(tasks)
-        groups: dict[int, tuple[ClassicalLaw, list[int]]] = {}
-        without_plan: Counter[str] = Counter()
-        for env_index, task in enumerate(tasks):
-            law = self._law(task)
-            if law is None:
-                without_plan[task.trajectory.name] += 1
-                law = self._reference_law
-            _, indices = groups.setdefault(id(law), (law, []))
-            indices.append(env_index)
+        self._reference_law.reset(tasks)  # before a plan takes time
+        rows: dict[Callable[..., ClassicalLaw], list[int]] = {}
+        plans = []
+        for row, task in enumerate(tasks):
+            make, plan = self._planned(task)
+            rows.setdefault(make, []).append(row)
+            plans.append(plan)
+        self._laws = []
+        for make, of_law in rows.items():
+            law = make([plans[row] for row in of_law], [tasks[row] for row in of_law])
+            self._laws.append((np.array(of_law), law))
+        without_plan = Counter(tasks[row].trajectory.name for row in rows.get(self._without, []))
         for name, episodes in without_plan.items():
             _LOGGER.warning(
                 "%s tracks trajectory %r without a plan in %d episodes: no motion within the "
@@ -133,60 +136,65 @@ class TrajOpt:
                 episodes,
             )
         self.fallbacks = without_plan.total()
-        self._groups = [(np.array(indices), law) for law, indices in groups.values()]
 
-    def _law(self, task: Task) -> ClassicalLaw | None:
-        """The law of a task's episode with the rehearsed plan or the exact one; None if there is no
-        plan."""
-        rehearsed = self._stored(self._rehearsed_law, task)
-        if isinstance(rehearsed, ObserverLaw):
-            assert rehearsed.largest_payload is not None
-            is_light = task.model_payload <= rehearsed.largest_payload
-            if is_light or not task.payload_known:
-                return rehearsed
-        return self._stored(self._exact_law, task)
+    def _planned(self, task: Task) -> tuple[Callable[..., ClassicalLaw], PlannedMotion | None]:
+        """The function that makes the law for a task, and the plan that it tracks."""
+        plan = self._stored(self._rehearsed_plan, task)
+        if plan is not None and (not task.payload_known or task.model_payload <= plan.payload):
+            return self._rehearsed, plan
+        plan = self._stored(self._exact_plan, task)
+        if plan is not None:
+            return self._exact, plan
+        return self._without, None
 
-    def _stored(
-        self, make: Callable[[Task], tuple[PlannedMotion, ClassicalLaw]], task: Task
-    ) -> ClassicalLaw | None:
-        """The law that a function makes for a plan; None if there is no plan. It is made once."""
+    def _stored(self, make: Callable[[Task], PlannedMotion], task: Task) -> PlannedMotion | None:
+        """The plan of a function; None if there is none. It is made once."""
         motion: Any = task.trajectory
         if not isinstance(motion, Hashable):
             motion = id(motion)  # a trajectory that is not hashable is equal only to itself
         key = (make.__name__, motion, task.error_bounds, task.control_frequency, task.cable)
-        if key not in self._laws:
-            law = None
+        if key not in self._plans:
+            plan = None
             with suppress(Infeasible):
-                plan, tracking = make(task)
-                if plan.payload > 0:
-                    law = tracking
+                plan = make(task)
+            if plan is not None and plan.payload <= 0:
+                plan = None
             # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
-            self._laws[key] = task.trajectory, law
-        return self._laws[key][1]
+            self._plans[key] = task.trajectory, plan
+        return self._plans[key][1]
 
-    def _rehearsed_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
-        """The plan for robots that are not exactly known, and its law."""
+    def _rehearsed_plan(self, task: Task) -> PlannedMotion:
+        """The plan for robots that are not exactly known."""
         uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
-        plan = self.planner.rehearsed(replace(task, robot=self.robot), uncertainty)
-        return plan, tracking_law(plan, Expectation.of(self.robot, uncertainty), task)
+        return self.planner.rehearsed(replace(task, robot=self.robot), uncertainty)
 
-    def _exact_law(self, task: Task) -> tuple[PlannedMotion, ClassicalLaw]:
-        """The plan for an exactly known robot, and its law."""
+    def _exact_plan(self, task: Task) -> PlannedMotion:
+        """The plan for an exactly known robot."""
         margins = exact_margins(self.robot, task.error_bounds)
 
         def make() -> PlannedMotion:
             return self.planner.first(self.robot, task, margins, 0.0, final=True)[1]
 
-        plan = self.planner.cached(replace(task, robot=self.robot), make, margins=margins)
+        return self.planner.cached(replace(task, robot=self.robot), make, margins=margins)
+
+    def _rehearsed(self, plans: Sequence[PlannedMotion], tasks: Sequence[Task]) -> ClassicalLaw:
+        return tracking_law(plans, self._expectation, tasks)
+
+    def _exact(self, plans: Sequence[PlannedMotion], tasks: Sequence[Task]) -> ClassicalLaw:
         joints = self.robot.joints
         tracking = PlanLaw(
             self.robot,
-            plan,
-            1 / task.control_frequency,
+            plans,
+            1 / tasks[0].control_frequency,
             gains=EXACT_GAINS[joints],
             reserve=EXACT_RESERVE[joints],
         )
-        return plan, AdaptivePlanLaw(tracking, plan)
+        tracking.reset(tasks)
+        return AdaptivePlanLaw(tracking)
+
+    def _without(self, plans: Sequence[None], tasks: Sequence[Task]) -> ClassicalLaw:
+        self._reference_law.reset(tasks)
+        return self._reference_law
 
     def predict(
         self,
@@ -201,18 +209,18 @@ class TrajOpt:
             RuntimeError: before the first :meth:`reset`.
             ValueError: if the observation does not have this robot's layout.
         """
-        groups = self._groups
-        if not groups:
+        laws = self._laws
+        if not laws:
             raise RuntimeError("call reset(tasks) before predict(): the tasks have the motions")
-        if len(groups) == 1:
-            return groups[0][1].predict(observation, state, episode_start, deterministic)
+        if len(laws) == 1:
+            return laws[0][1].predict(observation, state, episode_start, deterministic)
         observation = np.asarray(observation, float)
         count = len(observation)
         actions = np.empty((count, self.robot.cables))
         states = []
         starts = first_steps(state, episode_start, (count,))
-        states_before = state or (None,) * len(groups)
-        for (rows, law), before in zip(groups, states_before, strict=True):
+        states_before = state or (None,) * len(laws)
+        for (rows, law), before in zip(laws, states_before, strict=True):
             actions[rows], after = law.predict(
                 observation[rows], before, starts[rows], deterministic
             )
