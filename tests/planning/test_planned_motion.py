@@ -7,9 +7,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from oracles.episodes import make
+from scipy.interpolate import BSpline
 
-from cablebot_gym.motions import find_trajectory
-from cablebot_gym.planning import Follower, Infeasible, Margins, MotionProgram, State
+from cablebot_gym.motions import ORDERS, find_trajectory
+from cablebot_gym.planning import (
+    Follower,
+    Infeasible,
+    Margins,
+    MotionProgram,
+    PlannedMotion,
+    PlannedMotions,
+    State,
+    clamped_knots,
+)
+from cablebot_gym.planning.motion import FLEXIBLE_DEGREE, MOTOR_DEGREE, RIGID_DEGREE
 from cablebot_gym.planning.program import STAGES_PER_INTERVAL
 from cablebot_gym.robots import FLEX_PLANAR, PLANAR, SPATIAL
 from cablebot_gym.task import ErrorBounds
@@ -48,6 +59,57 @@ def plan(name):
         robot, reference_of(name), ErrorBounds(), intervals=intervals, **keywords
     )
     return program.solve()
+
+
+# --- splines ----------------------------------------------------------------------------------------------------------
+
+
+def random_plan(duration, intervals, degree, seed):
+    random = np.random.default_rng(seed)
+    motors = ()
+    if degree == FLEXIBLE_DEGREE:
+        motors = tuple(random.normal(size=(2, intervals + MOTOR_DEGREE, 3)))
+    return PlannedMotion(
+        name="random",
+        knots=clamped_knots(duration, intervals, degree),
+        poses=random.normal(size=(intervals + degree, 2)),
+        motors=motors,
+        payload=2.0,
+        lightest=0.5,
+        minimum_tension=1.0 + seed,
+    )
+
+
+@pytest.mark.parametrize("degree", [RIGID_DEGREE, FLEXIBLE_DEGREE])
+def test_each_row_of_a_batch_has_the_spline_of_its_own_plan(degree):
+    """At knots and between them, and at rest after the end."""
+    plans = [random_plan(0.8, 10, degree, 0), random_plan(1.2, 25, degree, 1)]
+    times = np.array([0.0, 0.13, 0.16, 0.8, 1.0, 0.8, 1.2, 1.3])
+    rows = [0, 1, 0, 0, 0, 1, 1, 1]
+    motions = PlannedMotions([plans[row] for row in rows])
+    together = motions(times)
+    for index, row in enumerate(rows):
+        plan = plans[row]
+        spline = BSpline(plan.knots, plan.poses, degree)
+        for order, name in enumerate(ORDERS):
+            expected = np.zeros(2)
+            if order == 0 or (order <= degree and times[index] <= plan.duration):
+                expected = spline(min(times[index], plan.duration), nu=order)
+            values = getattr(together, name)[index], getattr(plan(times[index]), name)
+            assert_allclose(values, [expected] * 2, rtol=1e-9, atol=1e-11 * 100.0**order)
+    assert motions.minimum_tension.tolist() == [1.0 + row for row in rows]
+
+
+def test_motor_angles_are_affine_in_the_payload_of_each_row():
+    plans = [random_plan(0.8, 10, FLEXIBLE_DEGREE, seed) for seed in (0, 1)]
+    payloads = np.array([0.0, 3.0])
+    angles, *_ = PlannedMotions(plans).motor_motion(np.array([0.3, 0.5]), payloads)
+    for index, plan in enumerate(plans):
+        knots = plan.knots[FLEXIBLE_DEGREE - MOTOR_DEGREE : MOTOR_DEGREE - FLEXIBLE_DEGREE]
+        splines = [BSpline(knots, points, MOTOR_DEGREE) for points in plan.motors]
+        heaviest, lightest = (spline([0.3, 0.5][index]) for spline in splines)
+        part = (payloads[index] - plan.lightest) / (plan.payload - plan.lightest)
+        assert_allclose(angles[index], lightest + part * (heaviest - lightest), atol=1e-12)
 
 
 # --- between the program's instants -----------------------------------------------------------------------------------
