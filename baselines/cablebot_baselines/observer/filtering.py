@@ -290,30 +290,20 @@ def _write_slopes(dynamics, gradient, by_pose, acceleration, wrench, mass, slope
 
 
 @helper
-def _write_transition(slopes, wrench, period, decay, transition):
-    """Derivatives of the state after a period with respect to that before."""
-    transition[:] = 0.0
-    for c in range(len(transition)):
-        transition[c, c] = 1.0
+def _advance(slopes, wrench, period, decay, matrix, moved):
+    """Multiplies a matrix by the derivatives of the state after a period with respect to that
+    before."""
     n = len(slopes)
+    moved[:] = 0.0
     for a in range(n):
-        transition[a, n + a] = period
-        transition[wrench + a, wrench + a] = decay
-        _add_multiple(transition[a], period * period / 2, slopes[a])
-        _add_multiple(transition[n + a], period, slopes[a])
-
-
-@helper
-def _multiply(sparse, matrix, product):
-    """Product of a matrix with many zeros and another matrix."""
-    product[:] = 0.0
-    for a in range(len(sparse)):
         for b in range(len(matrix)):
-            factor = sparse[a, b]
-            if factor == 0.0:
-                continue
-            for c in range(product.shape[1]):
-                product[a, c] += factor * matrix[b, c]
+            if slopes[a, b] != 0.0:
+                _add_multiple(moved[a], slopes[a, b], matrix[b])
+    for a in range(n):
+        _add_multiple(matrix[a], period, matrix[n + a])
+        _add_multiple(matrix[a], period * period / 2, moved[a])
+        _add_multiple(matrix[n + a], period, moved[a])
+        matrix[wrench + a] *= decay
 
 
 @entry_point(seconds=lambda dynamics, torque, gradient, *_: _product_seconds(gradient))
@@ -351,21 +341,21 @@ def predict(
     size = mean.shape[1]
     acceleration = np.empty(n)
     slopes = np.empty((n, size))
-    transition = np.empty((size, size))
-    product = np.empty((size, size))
+    moved = np.empty((n, size))
+    transposed = np.empty((size, size))
     for i in range(len(mean)):
         robot_dynamics = _dynamics_of_robot(dynamics, i)
         estimated_wrench = mean[i, wrench : wrench + n]
         _accelerate(robot_dynamics, torque[i], estimated_wrench, acceleration)
         _write_slopes(robot_dynamics, gradient[i], by_pose[i], acceleration, wrench, mass, slopes)
-        _write_transition(slopes, wrench, period, decay, transition)
         mean[i, :n] += period * mean[i, n : 2 * n] + period * period / 2 * acceleration
         mean[i, n : 2 * n] += period * acceleration
         mean[i, wrench : wrench + n] *= decay
         # F P Fᵀ = F (F P)ᵀ
-        _multiply(transition, covariance[i], product)
-        _multiply(transition, product.T, covariance[i])
-        covariance[i] = (covariance[i] + covariance[i].T) / 2
+        _advance(slopes, wrench, period, decay, covariance[i], moved)
+        transposed[:] = covariance[i].T
+        _advance(slopes, wrench, period, decay, transposed, moved)
+        covariance[i] = (transposed + transposed.T) / 2
         for c in range(size):
             covariance[i, c, c] += growth[i, c]
         for a in range(n):
@@ -393,14 +383,15 @@ def correct(innovation, gradient, variance, mean, covariance):
         change[:] = 0.0
         for k in range(innovation.shape[1]):
             slopes = gradient[i, k]
+            crossed[:] = 0.0
             for a in range(size):
-                crossed[a] = _add_products(0.0, covariance[i, a], slopes)
+                if slopes[a] != 0.0:
+                    _add_multiple(crossed, slopes[a], covariance[i, a])
             total = _add_products(variance[i, k], slopes, crossed)
             unexplained = innovation[i, k]
             for a in range(size):
                 unexplained -= slopes[a] * change[a]
-            change += crossed * unexplained / total
+            _add_multiple(change, unexplained / total, crossed)
             for a in range(size):
-                for b in range(size):
-                    covariance[i, a, b] -= crossed[a] * crossed[b] / total
+                _add_multiple(covariance[i, a], -crossed[a] / total, crossed)
         mean[i] += change
