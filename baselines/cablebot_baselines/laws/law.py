@@ -52,7 +52,8 @@ class ClassicalLaw:
         if minimum_tension is None:
             minimum_tension = allocated_minimum(robot, self.usual_minimum, self.tension_reserve)
         self.robot = robot
-        self.minimum_tension = number("minimum_tension", minimum_tension, least=0.0, unit="N")
+        self.minimum_tension: Any = number("minimum_tension", minimum_tension, least=0.0, unit="N")
+        """Least allocated tension, one number or one for each row of a batch, (N,) [N]."""
         self.model = joint_equivalent(robot)
         """Robot of the law's equations: that with joint springs in place of elastic cables."""
         self._layout = observation_layout(robot)

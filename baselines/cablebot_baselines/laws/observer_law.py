@@ -101,8 +101,6 @@ class ObserverLaw(ClassicalLaw):
         self.expectation = expectation
         self.largest_payload = largest_payload
         self._payload_prior = payload_prior
-        # Laws and the rows of a batch in which each acts.
-        self._laws: list[tuple[ClassicalLaw, Any]] = [(law, slice(None))]
         self._tasks: tuple[Task, ...] = ()
         # Each motion's first task and its rows.
         self._motions: list[tuple[Task, Any]] = []
@@ -176,11 +174,7 @@ class ObserverLaw(ClassicalLaw):
         reference, memory = self.reference(instant, memory)
         later = ahead | {"time_to_go": time_to_go[:, None]} | reference
         at_effect = rows | later
-        requested = np.empty_like(estimate.strength)
-        action = np.empty_like(requested)
-        for law, acting in self._laws:
-            of_law = {name: values[acting] for name, values in at_effect.items()}
-            requested[acting], action[acting] = self._act(law, of_law, estimate.of(acting))
+        requested, action = self._act(at_effect, estimate)
         after = ObservingState(observer=observed, requested=requested, memory=memory)
         return action.reshape(*shape, self.robot.cables), after
 
@@ -203,34 +197,30 @@ class ObserverLaw(ClassicalLaw):
                 later[name][rows] = getattr(motion, REFERENCE[name])
         return later, None
 
-    def _act(
-        self, law: ClassicalLaw, blocks: dict[str, Array], estimate: RobotEstimate
-    ) -> tuple[Array, Array]:
-        """Requested and saturated actions of a law, each (N, m), for blocks at the instant at which
+    def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
+        """Requested and saturated actions of the law, each (N, m), for blocks at the instant at which
         they take effect."""
         acceleration = blocks["reference_acceleration"] - blocks["disturbance"]
         blocks = blocks | {"reference_acceleration": acceleration}
-        torques, speeds = law.torques(blocks, estimate.mass)
+        torques, speeds = self.law.torques(blocks, estimate.mass)
         requested = normalised_action(self.robot, torques / estimate.strength, speeds)
         action = requested.copy()
         is_saturated = np.any(np.abs(requested) > 1, axis=-1)
         if np.any(is_saturated):
-            saturated = {name: values[is_saturated] for name, values in blocks.items()}
-            action[is_saturated] = self._reduced(
-                law, requested[is_saturated], saturated, estimate.of(is_saturated)
-            )
+            action[is_saturated] = self._reduced(requested, blocks, estimate, is_saturated)
         return requested, np.clip(action, -1.0, 1.0)
 
     def _reduced(
         self,
-        law: ClassicalLaw,
         requested: Array,
         blocks: dict[str, Array],
         estimate: RobotEstimate,
+        rows: NDArray[np.bool_],
     ) -> Array:
-        """Actions in place of requested ones beyond ±1, each (N, m)."""
+        """Actions in place of the requested ones of some rows, which are beyond ±1, (rows, m)."""
         if not self._allocates:
-            return requested
-        slope = law.torque_slope(estimate.mass, blocks["pose"])
-        stall = self.robot.stall_torque * estimate.strength
-        return allocate(requested, slope / stall[..., None])
+            return requested[rows]
+        of_rows = estimate.of(rows)
+        slope = self.law.torque_slope(of_rows.mass, blocks["pose"][rows])
+        stall = self.robot.stall_torque * of_rows.strength
+        return allocate(requested[rows], slope / stall[..., None])

@@ -7,11 +7,12 @@ Errors are e = z_d − z, reference minus state.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablebot_gym.envs.observation import Blocks
 from cablebot_gym.kinematics import Array
@@ -172,10 +173,10 @@ class BoundedRobustPD:
 
     stiffness: float
     """Ω [1/s]."""
-    zeta: float
-    """ζ, bound of |m/m̂ − 1|."""
-    phi: tuple[float, float]
-    """φ of positions and of angles [m/s², rad/s²]."""
+    zeta: float | Array
+    """ζ, bound of |m/m̂ − 1|; one number, or one for each row of a batch, (N, 1)."""
+    phi: tuple[float, float] | tuple[Array, Array]
+    """φ of positions and of angles [m/s², rad/s²], each as ζ."""
     gravity: Array
     """g, (d,) [m/s²]. The first d coordinates are positions."""
 
@@ -183,6 +184,13 @@ class BoundedRobustPD:
     def gains(self) -> tuple[float, float]:
         """(K_P, K_D) inside the boundary layer [1/s², 1/s]."""
         return self.stiffness**2, 2 * self.stiffness
+
+    def of(self, rows: NDArray[np.bool_]) -> BoundedRobustPD:
+        """The loop of some rows of a batch, with arrays as ζ and φ."""
+        zeta, position_phi, rotation_phi = (
+            np.asarray(value)[rows] for value in (self.zeta, *self.phi)
+        )
+        return replace(self, zeta=zeta, phi=(position_phi, rotation_phi))
 
     def bounds(self, acceleration: Array) -> tuple[Array, Array]:
         """ρ of positions and of angles, each (..., 1), for v₀, (..., n)."""

@@ -108,6 +108,12 @@ class RobustDesign:
     largest_payload: float
     """Largest payload that is possible [kg]."""
 
+    @classmethod
+    def usual(cls, expectation: Expectation, task: Task) -> RobustDesign:
+        """That for payloads up to the mass of the platform."""
+        largest = float(expectation.robot.mass)
+        return cls(expectation=expectation, task=task, largest_payload=largest)
+
     @cached_property
     def robot(self) -> Robot:
         """Expected robot with joint springs in place of elastic cables."""

@@ -198,18 +198,12 @@ def tracking_law(
     gains = by_kind(GAINS, robot)
     if robot.flexible:
         largest = math.sqrt(GAINS["spatial"][0])
-        stiffness = min(largest, SPRING_RATIO * _design(expectation, tasks[0]).stiffness)
+        stiffness = min(largest, SPRING_RATIO * RobustDesign.usual(expectation, tasks[0]).stiffness)
         gains = stiffness**2, 2 * stiffness
     tracking = PlanLaw(robot, plans, period, gains=gains)
     law = _Tracking(tracking, expectation, largest_payload=tracking.plan.payload)
     law.reset(tasks)
     return law
-
-
-def _design(expectation: Expectation, task: Task) -> RobustDesign:
-    """Gains and tensions of ``observing`` for payloads up to the mass of the platform."""
-    largest = float(expectation.robot.mass)
-    return RobustDesign(expectation=expectation, task=task, largest_payload=largest)
 
 
 class _Tracking(ObserverLaw):
@@ -277,7 +271,7 @@ class PlanSearch:
         robot = self._expectation.robot
         if not keeps_least_tension(robot):
             return FIRST_MARGINS
-        least = _design(self._expectation, self._task).minimum_tension
+        least = RobustDesign.usual(self._expectation, self._task).minimum_tension
         return replace(FIRST_MARGINS, tension=least - robot.minimum_tension)
 
     def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
