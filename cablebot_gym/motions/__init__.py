@@ -13,6 +13,7 @@ m, angles in rad and times in s; z points down.
 * ``spline``: a curve through waypoints.
 * ``loops``: random loops and their seeds.
 * ``sequences``: motions between dwells.
+* ``pieces``: many curves evaluated at once.
 * ``names``: motions by name, from files and from data.
 """
 
@@ -41,6 +42,7 @@ from cablebot_gym.motions.names import (
     random_loop,
     trajectory_names,
 )
+from cablebot_gym.motions.pieces import Pieces
 from cablebot_gym.motions.sequences import BetweenDwells
 from cablebot_gym.motions.spline import Waypoints
 
@@ -53,6 +55,7 @@ __all__ = [
     "Dwell",
     "Lemniscate",
     "PaperCircle",
+    "Pieces",
     "PointToPoint",
     "RandomLoop",
     "Reference",

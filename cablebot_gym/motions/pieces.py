@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from cablebot_gym.kinematics import Array
 
@@ -28,6 +27,8 @@ class Pieces:
     def of_spline(cls, knots: Array, points: Array, degree: int) -> Pieces:
         """The curve of a spline with equally spaced knots, clamped at both ends, and control points
         (count, size)."""
+        from scipy.interpolate import BSpline  # slow to import
+
         spline = BSpline(knots, points, degree)
         starts = knots[degree : -degree - 1]
         width = knots[-1] / len(starts)
@@ -38,6 +39,15 @@ class Pieces:
             coefficients=np.stack(series, axis=1),
             durations=knots[-1:],
             counts=np.array([len(starts)]),
+        )
+
+    @classmethod
+    def of_samples(cls, samples: Array, duration: float) -> Pieces:
+        """Straight lines between samples at equal distances in time, (count + 1, size)."""
+        return cls(
+            coefficients=np.stack([samples[:-1], np.diff(samples, axis=0)], axis=1),
+            durations=np.array([duration]),
+            counts=np.array([len(samples) - 1]),
         )
 
     @classmethod

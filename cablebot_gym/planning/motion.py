@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cablebot_gym.kinematics import Array
-from cablebot_gym.motions import ORDERS, Reference
-from cablebot_gym.motions.pieces import Pieces
+from cablebot_gym.motions import ORDERS, Pieces, Reference
 from cablebot_gym.utils.checks import number
 
 MOTOR_DEGREE = 3

@@ -47,10 +47,13 @@ def test_spline_is_a_smooth_partition_of_unity(degree):
 def shifts(monkeypatch):
     """``shifts(steering, tasks, actions)``: shifts of the reference's pose and velocity in the
     control steps of two episodes, and what a learner sees, without a law."""
+    tasks_of_law = []
 
     def respond(self, blocks, state=None, episode_start=None):
         instant = SimpleNamespace(
-            blocks=blocks, estimate=SimpleNamespace(delay=np.zeros(2)), time=lambda *_: 0.0
+            blocks=blocks,
+            estimate=SimpleNamespace(delay=np.zeros(2)),
+            time_to_go=np.array([task.trajectory.duration for task in tasks_of_law]),
         )
         reference, _ = self.reference(instant, None)
         return reference, state
@@ -58,6 +61,7 @@ def shifts(monkeypatch):
     monkeypatch.setattr(Observing, "respond", respond)
 
     def run(steering, tasks, actions):
+        tasks_of_law[:] = tasks
         steering.reset(tasks)
         memory = None
         found, seen = [], []

@@ -3,6 +3,7 @@ delay."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,11 +17,16 @@ from cablebot_baselines.laws.law import Array, ClassicalLaw
 from cablebot_baselines.observer.expectation import Expectation, possible_payload
 from cablebot_baselines.observer.observer import RobotObserver
 from cablebot_baselines.observer.observer_state import ObserverState, RobotEstimate
+from cablebot_gym.motions import Pieces, sampled
 from cablebot_gym.physics.textbook import normalised_action
 from cablebot_gym.task import Task
 
 UNCERTAINTY = "hardware"
 """Uncertainty that the laws expect."""
+
+SAMPLES = 4
+"""Samples of a reference in a control period. Between them it is linear: with a jerk of 1000 m/s³, the
+error of the velocity is below 0.1 mm/s."""
 
 REFERENCE = {
     "reference_pose": "position",
@@ -120,6 +126,12 @@ class ObserverLaw(ClassicalLaw):
         self._motions = [(tasks[rows[0]], np.array(rows)) for rows in groups.values()]
         if len(groups) == 1:
             self._motions = [(tasks[0], slice(None))]  # serves any number of episodes
+        self._curve: int | NDArray[np.int64] = 0
+        if len(groups) > 1:
+            self._curve = np.empty(len(tasks), np.int64)
+            for index, (_, rows) in enumerate(self._motions):
+                self._curve[rows] = index
+        self._references = Pieces.joined([_reference_of(task) for task, _ in self._motions])
         payloads = np.zeros(len(tasks))
         if self.largest_payload is not None:
             payloads += self.largest_payload
@@ -189,13 +201,14 @@ class ObserverLaw(ClassicalLaw):
         They are those of the task's motion: a Taylor series from the observed reference does not
         know where its acceleration jumps, and a light platform then loses the tension of a cable.
         """
-        names = [name for name in REFERENCE if name in instant.blocks]
-        later = {name: np.empty_like(instant.blocks[name]) for name in names}
-        for task, rows in self._motions:
-            motion = task.trajectory(instant.time(task, rows))
-            for name in names:
-                later[name][rows] = getattr(motion, REFERENCE[name])
-        return later, None
+        times = self._references.durations[self._curve] - instant.time_to_go
+        (samples,) = self._references(self._curve, times, 1)
+        parts = np.split(samples, len(REFERENCE), axis=-1)
+        reference = {}
+        for name, values in zip(REFERENCE, parts, strict=True):
+            if name in instant.blocks:
+                reference[name] = values
+        return reference, None
 
     def _act(self, blocks: dict[str, Array], estimate: RobotEstimate) -> tuple[Array, Array]:
         """Requested and saturated actions of the law, each (N, m), for blocks at the instant at which
@@ -224,3 +237,11 @@ class ObserverLaw(ClassicalLaw):
         slope = self.law.torque_slope(of_rows.mass, blocks["pose"][rows])
         stall = self.robot.stall_torque * of_rows.strength
         return allocate(requested[rows], slope / stall[..., None])
+
+
+def _reference_of(task: Task) -> Pieces:
+    """A motion and its derivatives, those of one sample after the other."""
+    motion = task.trajectory
+    count = math.ceil(SAMPLES * motion.duration * task.control_frequency)
+    samples = sampled(motion, np.linspace(0.0, motion.duration, count + 1))
+    return Pieces.of_samples(np.concatenate(samples, axis=1), motion.duration)
