@@ -309,14 +309,13 @@ def _best_known(row: Row) -> dict[str, Any]:
 
 
 def _drawn(row: Row) -> dict[str, Any]:
-    """The payload of a random robot and its ratio to the nominal one on the same mesh, which is taken
-    from the disk cache of this machine, or computed first."""
-    from cablebot_gym.bounds.drawn import find_drawn_best_known
+    """The payload of a random robot and its ratio to the nominal one, for which the best known payload
+    is taken from the disk cache of this machine, or computed first."""
+    from cablebot_gym.bounds.drawn import find_drawn_payload
 
     keywords = {"seed": row.conditions.seed} | row.conditions.keywords()
-    result = find_drawn_best_known(row.conditions.env_id, **keywords)
-    names = ("payload", "verified", "ratio", "intervals", "nominal_payload", "reference")
-    return {name: getattr(result, name) for name in names}
+    result = find_drawn_payload(row.conditions.env_id, **keywords)
+    return asdict(result) | {"ratio": result.ratio}
 
 
 @contextmanager

@@ -217,12 +217,12 @@ def best_known_text(row: Row) -> str:
 def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
     """Head and rows of the table of the yardsticks under uncertainty."""
     quantile = f"{PROBABILITY:.0%} quantile"
-    lines = [["environment", "uncertainty", "robots", quantile, "mean", "not verified"]]
+    lines = [["environment", "uncertainty", "robots", quantile, "mean", "without a motion"]]
     for (env_id, uncertainty), stick in yardsticks(rows).items():
         quantile = f"{stick.quantile:.1%} [{stick.low:.1%}, {stick.high:.1%}]"
-        robots = str(stick.draws + stick.unverified)
+        robots = str(stick.draws + stick.missing)
         mean = f"{stick.mean:.1%}"
-        lines.append([env_id, uncertainty, robots, quantile, mean, str(stick.unverified)])
+        lines.append([env_id, uncertainty, robots, quantile, mean, str(stick.missing)])
     return lines
 
 

@@ -1,4 +1,4 @@
-"""Yardstick under uncertainty: the fraction of the nominal best known payload that a planner reaches
+"""Yardstick under uncertainty: the fraction of the payload of the nominal robot that a planner reaches
 on 95 % of the random robots, because it knows each of them.
 
 Policies do not know the random robot, so they can hope for this fraction at most.
@@ -29,20 +29,20 @@ FEWEST = 72
 
 @dataclass(frozen=True, kw_only=True)
 class Yardstick:
-    """The 5 % quantile of the ratios of drawn to nominal best known payloads."""
+    """The 5 % quantile of the ratios of drawn to nominal payloads."""
 
     quantile: float
-    """Quantile of the draws with a verified payload."""
+    """Quantile of the draws with a payload."""
     low: float
-    """Lower end of its interval. Draws without a verified payload count as 0."""
+    """Lower end of its interval. Draws without a payload count as 0."""
     high: float
-    """Upper end of its interval. Draws without a verified payload are left out."""
+    """Upper end of its interval. Draws without a payload are left out."""
     mean: float
     """Mean ratio."""
     draws: int
-    """Number of draws with a verified payload."""
-    unverified: int
-    """Number of draws without a verified payload."""
+    """Number of draws with a payload."""
+    missing: int
+    """Number of draws without a payload."""
 
 
 def yardstick(ratios: Sequence[float | None]) -> Yardstick:
@@ -53,28 +53,28 @@ def yardstick(ratios: Sequence[float | None]) -> Yardstick:
     40 to 80 % where the ratios are skewed or some motions are hard.
 
     Args:
-        ratios: ratio of each draw; None where no payload is verified.
+        ratios: ratio of each draw; None where there is no payload.
 
     Raises:
         ValueError: if no draw has a ratio.
     """
-    verified = np.sort([ratio for ratio in ratios if ratio is not None])
-    unverified = len(ratios) - len(verified)
-    if not len(verified):
-        raise ValueError("the yardstick needs at least one draw with a verified payload")
-    pessimistic = np.concatenate([np.zeros(unverified), verified])
+    found = np.sort([ratio for ratio in ratios if ratio is not None])
+    missing = len(ratios) - len(found)
+    if not len(found):
+        raise ValueError("the yardstick needs at least one draw with a payload")
+    pessimistic = np.concatenate([np.zeros(missing), found])
     lower_rank, _ = _ranks(len(pessimistic))
-    _, upper_rank = _ranks(len(verified))
+    _, upper_rank = _ranks(len(found))
     low = 0.0
     if lower_rank > 0:
         low = float(pessimistic[lower_rank - 1])
     return Yardstick(
-        quantile=float(np.quantile(verified, PROBABILITY, method="median_unbiased")),
+        quantile=float(np.quantile(found, PROBABILITY, method="median_unbiased")),
         low=low,
-        high=float(verified[min(upper_rank, len(verified)) - 1]),
-        mean=float(verified.mean()),
-        draws=len(verified),
-        unverified=unverified,
+        high=float(found[min(upper_rank, len(found)) - 1]),
+        mean=float(found.mean()),
+        draws=len(found),
+        missing=missing,
     )
 
 
@@ -110,7 +110,7 @@ def yardsticks(rows: Sequence[Row]) -> dict[tuple[str, str], Yardstick]:
     """The yardsticks by environment id and name of the uncertainty.
 
     Motions without a verified nominal payload are left out, as in the tables. A failed computation
-    counts as a draw without a verified payload, and there is no yardstick where all draws are.
+    counts as a draw without a payload, and there is no yardstick where all draws are.
 
     Args:
         rows: those of :func:`drawn_rows` and of the best known payloads; others have no effect.

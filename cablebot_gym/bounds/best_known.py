@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
@@ -298,18 +298,6 @@ class _Problem:
         return f"best-{key}.npz"
 
     @property
-    def follower(self) -> Follower:
-        """Controller that computes the inputs of a motion."""
-        gains = _GAINS[self.robot.joints]
-        return Follower(robot=self.robot, gains=gains, motor_frequency=_MOTOR_FREQUENCY)
-
-    @property
-    def tension_reach(self) -> float:
-        """Time about an instant within which the controller keeps the margin to the minimum tension
-        [s]."""
-        return 0.0
-
-    @property
     def tightening(self) -> Tightening:
         """Rule for the margins of the replayed motions."""
         times = np.arange(self.steps) / self.control_frequency
@@ -445,7 +433,7 @@ class _Problem:
             report(f"replaying inputs, trial {trial} of the margins")
             try:
                 if trial == 1:
-                    motion = self._first_motion(program, start, margins)
+                    motion = _solve(program, start, margins)
                 else:
                     motion = program.resolve(margins, profile)
             except Infeasible:  # larger margins are infeasible as well
@@ -484,43 +472,25 @@ class _Problem:
     def _record(self, policy: Any, payload: float, **keywords: Any) -> Rollout:
         return record_rollout(policy, self.env_id, payload=payload, **self.conditions | keywords)
 
-    def _first_motion(
-        self, program: MotionProgram, start: PlannedMotion, margins: Margins
-    ) -> PlannedMotion:
-        """The motion of a program with margins, from a motion that is close to it.
-
-        Raises:
-            Infeasible: if the solver finds no motion within the constraints.
-        """
-        return _solve(program, start, margins)
-
-    def _state_of_action(self, motion: PlannedMotion, state: State) -> State:
-        """The state for which the controller computes an action, from the state at its instant."""
-        return state
-
-    def _record_tracking(self, policy: Callable[[Array], Array], payload: float) -> Rollout:
-        """The episode in which the controller computes the inputs."""
-        return self._record(policy, payload)
-
     def _track(self, motion: PlannedMotion, profile: MarginProfile) -> _Tracked:
         """Actions of a controller that tracks a motion."""
-        follower = self.follower
+        gains = _GAINS[self.robot.joints]
+        follower = Follower(robot=self.robot, gains=gains, motor_frequency=_MOTOR_FREQUENCY)
         layout = observation_layout(self.robot)
         period = 1 / self.control_frequency
         payload = np.asarray(motion.payload)
-        margin = profile.largest("tension", profile.times, self.tension_reach)
+        margin = profile.largest("tension", profile.times, 0.0)
         tension = motion.minimum_tension + margin
         requested: list[Array] = []
 
         def track(observation: Array) -> Array:
             step = len(requested)
             state = State.from_blocks(layout.split(observation), np.asarray(step * period))
-            state = self._state_of_action(motion, state)
             action = follower.action(motion, state, payload, period, float(tension[step]))
             requested.append(action)
             return np.clip(action, -1.0, 1.0)
 
-        episode = self._record_tracking(track, motion.payload)
+        episode = self._record(track, motion.payload)
         actions = episode.arrays["commanded_action"]
         excess = np.abs(requested) - 1
         missing = self.steps - len(actions)  # after a termination

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,21 +45,16 @@ class Tightening:
     """Bounds of the tracking errors."""
     times: Array
     """Control instants of an episode, shape (steps,) [s]."""
-    scale: float = 1.0
-    """Factor of the least margins. Larger margins cost payload and save replays."""
-    largest_growth: float = math.inf
-    """Largest growth of a margin of the actions in one trial. Where feedback saturates, the excess
-    is larger than the margin that avoids it."""
 
     @property
     def least_margins(self) -> Margins:
         """Margins that every replayed motion keeps at all times."""
         bounds = self.error_bounds
         return Margins(
-            position=self.scale * _SMALLEST_FRACTION * bounds.position,
-            rotation=self.scale * _SMALLEST_FRACTION * bounds.rotation,
-            action=self.scale * _SMALLEST.action,
-            tension=self.scale * _SMALLEST.tension,
+            position=_SMALLEST_FRACTION * bounds.position,
+            rotation=_SMALLEST_FRACTION * bounds.rotation,
+            action=_SMALLEST.action,
+            tension=_SMALLEST.tension,
         )
 
     def no_profile(self) -> MarginProfile:
@@ -89,9 +83,7 @@ class Tightening:
                 part = largest[: len(values)]  # a terminated episode is shorter
                 np.maximum(part, values, out=part)
             growth = _REACTION * largest + _LEAST_GROWTH * least_margin
-            if name == "action":
-                growth = np.minimum(growth, self.largest_growth)
-            else:
+            if name != "action":
                 growth = np.maximum(growth, _RELATIVE_GROWTH * margin)
             grown[name] = margin + np.where(largest > 0, growth, 0.0)
         return replace(profile, **grown)

@@ -124,6 +124,23 @@ def test_task_of_one_motion_serves_all_episodes_of_a_batch():
     assert_allclose(actions, [alone, alone])
 
 
+def test_saturated_row_has_the_bounds_of_its_own_motion():
+    robot = ROBOTS["CableBot-Planar-v0"]
+    tasks, observations = [], []
+    for seed in (0, 5):
+        env = gym.make("CableBot-Planar-v0", trajectory={"name": "loop-planar", "seed": seed})
+        observations.append(env.reset(seed=0)[0])
+        tasks.append(env.unwrapped.task)
+    observations[1][:2] += 0.3  # far from its reference
+    law = Observing(robot)
+    law.reset(tasks)
+    together, state = law.predict(np.stack(observations))
+    assert (np.abs(state.requested) > 1).any(axis=1).tolist() == [False, True]
+    law.reset(tasks[1:])
+    alone, _ = law.predict(observations[1])
+    assert_allclose(together[1], alone, atol=1e-12)
+
+
 def test_robot_that_holds_every_payload_can_be_prepared():
     """At rest in a horizontal plane no payload is the largest one."""
     Observing(ROBOTS["CableBot-Planar-v0"]).reset(

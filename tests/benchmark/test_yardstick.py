@@ -13,7 +13,7 @@ from cablebot_gym.evaluation.survey import motion_seeds
 LOOP = {"name": "loop-planar", "seed": 7}
 
 
-def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low_end():
+def test_ends_are_order_statistics_and_missing_draws_count_as_zero_at_the_low_end():
     ratios = np.linspace(0.8, 1.0, 200).tolist()
     complete = yardstick(ratios)
     assert complete.low < complete.quantile < complete.high
@@ -21,7 +21,7 @@ def test_ends_are_order_statistics_and_unverified_draws_count_as_zero_at_the_low
     assert complete.high == ratios[16]
     assert complete.quantile == pytest.approx(0.81, abs=1e-3)
     holes = yardstick([None, None, *ratios])
-    assert (holes.draws, holes.unverified) == (200, 2)
+    assert (holes.draws, holes.missing) == (200, 2)
     assert holes.low == ratios[2]  # rank 5 of 202
     assert (holes.quantile, holes.high) == (complete.quantile, complete.high)
     assert yardstick([0.9] * (FEWEST - 1)).low == 0.0  # too few draws for a lower end
@@ -50,4 +50,4 @@ def test_rows_are_grouped_by_environment():
     by_environment = yardsticks(rows)
     assert list(by_environment) == [(PLANAR, "hardware")]
     assert by_environment[PLANAR, "hardware"].mean == pytest.approx(0.85)
-    assert by_environment[PLANAR, "hardware"].unverified == 1
+    assert by_environment[PLANAR, "hardware"].missing == 1
