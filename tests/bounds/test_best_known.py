@@ -267,7 +267,7 @@ def test_heavier_payload_of_a_draw_is_counted_by_its_nominal_mass(drawn):
     assert drawn(uncertainty=HEAVIER).ratio == pytest.approx(1 / 1.03, abs=1e-4)
 
 
-def test_draw_without_a_motion_has_no_ratio(drawn, monkeypatch):
+def test_infeasible_draw_counts_as_missing(drawn, monkeypatch):
     def solve(*_, **__):
         raise Infeasible("stop")
 

@@ -66,16 +66,6 @@ def test_results_are_those_of_the_textbook(robot, minimum):
             assert_array_equal(getattr(results, name)[index], values)
 
 
-@each_of(PLANAR, QUAD)
-def test_each_motion_has_its_own_minimum(robot):
-    motion = random_motion(robot, (20,), seed=5)
-    minima = np.linspace(0.0, 6.0, 20)
-    together = inverse_dynamics(robot, *motion, minimum=minima).tensions
-    for index, minimum in enumerate(minima):
-        alone = inverse_dynamics(robot, *(values[index] for values in motion), minimum=minimum)
-        assert_array_equal(together[index], alone.tensions)
-
-
 @rigid_robots
 def test_arguments_are_broadcast(robot):
     """One mass, an integer acceleration, a read-only and a reversed array are all right."""

@@ -28,14 +28,14 @@ SAMPLES = 4
 """Samples of a reference in a control period. Between them it is linear: with a jerk of 1000 m/s³, the
 error of the velocity is below 0.1 mm/s."""
 
-REFERENCE = {
-    "reference_pose": "position",
-    "reference_velocity": "velocity",
-    "reference_acceleration": "acceleration",
-    "reference_jerk": "jerk",
-    "reference_snap": "snap",
-}
-"""Fields of a motion by blocks of the reference, which an observation may have."""
+REFERENCE = (
+    "reference_pose",
+    "reference_velocity",
+    "reference_acceleration",
+    "reference_jerk",
+    "reference_snap",
+)
+"""Blocks of the reference that an observation may have, in the order of the derivatives."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,8 +85,8 @@ class ObserverLaw(ClassicalLaw):
         law: control law without memory for the expected robot.
         expectation: what is expected of the robot.
         largest_payload: largest payload that is considered possible if the payload is unknown, one
-            number or (N,) [kg]; None for ``payload_prior`` times that with which the motors can track the reference of
-            the task exactly.
+            number or (N,) [kg]; None for ``payload_prior`` times that with which the motors can track
+            the reference of the task exactly.
         payload_prior: a multiple, as above.
     """
 
