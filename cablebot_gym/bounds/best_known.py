@@ -9,9 +9,7 @@ inputs in the environment verify it, with the physics step and with a tenth of i
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
 from importlib.metadata import version
 from io import BytesIO
@@ -19,15 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_gym.bounds.optimum import Mesh, Problem, solve
 from cablebot_gym.bounds.tightening import Tightening
-from cablebot_gym.envs import check_robot
 from cablebot_gym.envs.observation import observation_layout
-from cablebot_gym.envs.settings import default_trajectory, make_settings
+from cablebot_gym.envs.settings import make_settings
 from cablebot_gym.evaluation.batch import versions
 from cablebot_gym.evaluation.rollout import Rollout, record_rollout
 from cablebot_gym.kinematics import Array
-from cablebot_gym.motions import Trajectory, find_trajectory
-from cablebot_gym.physics.statics import HEAVIEST
 from cablebot_gym.planning import (
     Follower,
     Infeasible,
@@ -37,12 +33,9 @@ from cablebot_gym.planning import (
     PlannedMotion,
     State,
 )
-from cablebot_gym.planning.library import fingerprint, load_or_compute
-from cablebot_gym.planning.stage_functions import import_casadi
+from cablebot_gym.planning.library import load_or_compute
 from cablebot_gym.policies.adapters import OpenLoop
-from cablebot_gym.robots import Robot, find_robot
-from cablebot_gym.task import ErrorBounds, check_workspace, find_error_bounds, to_jsonable
-from cablebot_gym.utils.checks import number
+from cablebot_gym.task import ErrorBounds, to_jsonable
 from cablebot_gym.utils.console import Say
 from cablebot_gym.utils.files import cache_folder, read_cached
 from cablebot_gym.utils.results import Result
@@ -50,21 +43,11 @@ from cablebot_gym.utils.results import Result
 MESH_TOLERANCE = 0.001
 """Relative change of the payload below which the mesh refinement stops."""
 
-INTERVALS_PER_SECOND = 25.0
-"""Intervals of the first mesh per second of motion."""
-
-MIN_INTERVALS = 20
-"""Least number of intervals of the first mesh."""
-
-MAX_INTERVALS = 120
-"""Largest number of intervals of the first mesh."""
 
 _SMALL = 0.1
 """Payload, as a fraction of the platform mass, below which the refinement stops at an absolute
 change."""
 
-MAX_MESH_FACTOR = 16
-"""Largest ratio of the number of intervals to that of the first mesh."""
 
 _TRIALS = 25
 """Largest number of margin profiles that are tried on a mesh."""
@@ -83,10 +66,6 @@ has no feedback."""
 
 _MOTOR_FREQUENCY = 200.0
 """Frequency of the motor loop of flexible robots in that controller [rad/s]."""
-
-_FIRST_MESHES = 3
-"""Number of coarse meshes that may fail. With narrow error bounds about a jumping reference,
-coarse meshes are infeasible."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,14 +146,14 @@ def find_best_known(
     robot: Any = None,
     trajectory: Any = None,
     error_bounds: ErrorBounds | dict[str, float] | None = None,
-    control_frequency: float = 500.0,
+    control_frequency: float | None = None,
     progress: Say | None = None,
     cache: bool = True,
 ) -> BestKnownPayload:
     """Computes the best known payload under the task criterion.
 
-    A nonlinear program with splines and collocation (:mod:`cablebot_gym.planning`) is solved from
-    several starts. The mesh is halved until finer ones would hardly change the payload, see
+    A nonlinear program with splines and collocation is solved from several starts, see
+    :mod:`~cablebot_gym.bounds.optimum`. The mesh is halved until finer ones would hardly change the payload, see
     :func:`has_converged`. The final motion keeps margins to the limits. A controller with feedback
     computes its inputs once. Where open-loop replays of these inputs exceed a limit, the margin to
     it grows at these times, until the replays carry the payload in the environment, with its
@@ -186,7 +165,7 @@ def find_best_known(
             environment.
         trajectory: name, name with fields, or object; None for the default of the environment.
         error_bounds: bounds of the tracking errors; None for those of the robot.
-        control_frequency: actions per second [Hz].
+        control_frequency: actions per second [Hz]; None for that of the robot.
         progress: callback with a description of the next step.
         cache: whether to read the result from the disk cache and to store it there.
 
@@ -194,12 +173,19 @@ def find_best_known(
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if an argument is invalid, or if no motion within the limits is found.
     """
-    import_casadi()
-    case = _case(env_id, robot, trajectory, error_bounds, control_frequency)
+    search = _Search.of(
+        env_id,
+        robot=robot,
+        trajectory=trajectory,
+        error_bounds=error_bounds,
+        control_frequency=control_frequency,
+    )
     report: Say = progress or (lambda _: None)
     if not cache:
-        return case.solve(report)
-    result: BestKnownPayload = load_or_compute(case.file, _read, lambda: case.solve(report), _bytes)
+        return search.solve(report)
+    result: BestKnownPayload = load_or_compute(
+        search.file, _read, lambda: search.solve(report), _bytes
+    )
     return result
 
 
@@ -233,51 +219,16 @@ def cached_best_known(env_id: str, **options: Any) -> BestKnownPayload | None:
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if an argument is invalid.
     """
-    import_casadi()
-    return read_cached(cache_folder() / _case(env_id, **options).file, _read)
-
-
-def _case(
-    env_id: str,
-    robot: Any = None,
-    trajectory: Any = None,
-    error_bounds: ErrorBounds | dict[str, float] | None = None,
-    control_frequency: float = 500.0,
-) -> _Problem:
-    check_robot(env_id, robot)
-    robot = find_robot(env_id if robot is None else robot)
-    motion = find_trajectory(
-        default_trajectory(robot) if trajectory is None else trajectory, robot.kind
-    )
-    frequency = number(
-        "control_frequency", control_frequency, above=0.5 / motion.duration, unit="Hz"
-    )
-    return _Problem(env_id, robot, motion, find_error_bounds(error_bounds, robot), frequency)
+    return read_cached(cache_folder() / _Search.of(env_id, **options).file, _read)
 
 
 @dataclass(frozen=True)
-class _Problem:
-    """One problem: the arguments of :func:`find_best_known` in canonical form."""
-
-    env_id: str
-    robot: Robot
-    trajectory: Trajectory
-    error_bounds: ErrorBounds
-    control_frequency: float
+class _Search(Problem):
+    """A problem whose motion is verified by replays."""
 
     @property
     def steps(self) -> int:
         return round(self.trajectory.duration * self.control_frequency)
-
-    @property
-    def conditions(self) -> dict[str, Any]:
-        """Keywords of the environment in which the replays run."""
-        return {
-            "robot": self.robot,
-            "trajectory": self.trajectory,
-            "error_bounds": self.error_bounds,
-            "control_frequency": self.control_frequency,
-        }
 
     @property
     def substeps(self) -> int:
@@ -287,15 +238,7 @@ class _Problem:
     @property
     def file(self) -> str:
         """Name of the cache file."""
-        key = fingerprint(
-            "cablebot_gym.bounds.best_known",
-            self.robot,
-            self.trajectory,
-            env_id=self.env_id,
-            error_bounds=self.error_bounds,
-            control_frequency=self.control_frequency,
-        )
-        return f"best-{key}.npz"
+        return f"best-{self.fingerprint(__name__)}.npz"
 
     @property
     def tightening(self) -> Tightening:
@@ -305,12 +248,12 @@ class _Problem:
 
     def solve(self, report: Say) -> BestKnownPayload:
         """Solves and refines the program, and verifies the motion."""
-        check_workspace(self.robot, self.trajectory)
-        meshes, program = self._refine(report)
-        best = meshes[-1][1]
-        found = self._verify(program, best, report)
+        meshes = self._refined(report)
+        finest = meshes[-1]
+        best = finest.motion
+        found = self._verify(finest.program, best, report)
         if found is None or found.motion.payload < (1 - _MOST_LOST) * best.payload:
-            finer = self._verify(self._program(2 * meshes[-1][0]), best, report)
+            finer = self._verify(self.program(2 * finest.intervals), best, report)
             if finer is not None and (found is None or finer.motion.payload > found.motion.payload):
                 found = finer
         if found is None:
@@ -327,7 +270,7 @@ class _Problem:
             replays=found.replays,
             error_bounds=vars(self.error_bounds) | ({"rotation": None} if robot.point_mass else {}),
             program_payload=best.payload,
-            meshes=tuple((count, mesh.payload) for count, mesh in meshes),
+            meshes=tuple((mesh.intervals, mesh.motion.payload) for mesh in meshes),
             environment={
                 "robot": robot.to_dict(),
                 "trajectory": to_jsonable(self.trajectory),
@@ -338,83 +281,16 @@ class _Problem:
             actions=found.actions,
         )
 
-    # --- program ---
-
-    def _refine(self, report: Say) -> tuple[list[tuple[int, PlannedMotion]], MotionProgram]:
-        """Number of intervals and motion of every mesh, and the program of the last mesh after its
-        solution."""
-        intervals = math.ceil(INTERVALS_PER_SECOND * self.trajectory.duration)
-        best = None
-        intervals = min(max(MIN_INTERVALS, intervals), MAX_INTERVALS)
-        for _ in range(_FIRST_MESHES):
-            report(f"solving on {intervals} intervals from several starts")
-            program = self._program(intervals)
-            best = self._first(program)
-            if best is not None:
+    def _refined(self, report: Say) -> list[Mesh]:
+        """Meshes, until finer ones would hardly change the payload."""
+        meshes: list[Mesh] = []
+        for mesh in self.meshes(report):
+            meshes.append(mesh)
+            unit = max(mesh.motion.payload, _SMALL * self.robot.mass)
+            payloads = [one.motion.payload / unit for one in meshes]
+            if len(payloads) > 1 and has_converged(payloads):
                 break
-            intervals *= 2
-        if (
-            best is None
-            or best.payload < 0
-            or best.payload > (1 - 1e-3) * HEAVIEST * self.robot.mass
-        ):
-            raise ValueError(self._infeasibility(best))
-        meshes = [(intervals, best)]
-        finest = MAX_MESH_FACTOR * intervals
-        while 2 * intervals <= finest:
-            intervals *= 2
-            report(f"solving on {intervals} intervals, {best.payload:.3f} kg so far")
-            finer = self._program(intervals)
-            try:
-                motion = _solve(finer, best)
-            except Infeasible:  # the motion on the coarser mesh remains a candidate
-                report(f"no motion on {intervals} intervals, continuing with the coarser mesh")
-                break
-            meshes.append((intervals, motion))
-            best = motion
-            program = finer
-            unit = max(best.payload, _SMALL * self.robot.mass)
-            payloads = [mesh.payload / unit for _, mesh in meshes]
-            if has_converged(payloads):
-                break
-        return meshes, program
-
-    def _first(self, program: MotionProgram) -> PlannedMotion | None:
-        """Best motion from several starts: the reference, a lowered one, and a wave about it; None
-        if all fail."""
-        n = self.robot.coordinates
-        motions = []
-        sag = np.zeros(n)
-        sag[min(2, n - 1)] = 0.7
-        wave = np.random.default_rng(0).uniform(-0.5, 0.5, (4, n))
-        phases = np.linspace(0.0, math.pi, program.control_points)[:, None]
-        waves = np.sum(
-            [amplitude * np.sin((k + 1) * phases) for k, amplitude in enumerate(wave)], axis=0
-        ) / len(wave)
-        for shift in (np.zeros(n), sag, waves):
-            try:
-                motions.append(program.solve(shift=shift))
-            except Infeasible:
-                continue
-        return max(motions, key=lambda motion: motion.payload, default=None)
-
-    def _program(self, intervals: int) -> MotionProgram:
-        period = 1 / self.control_frequency
-        return MotionProgram(
-            self.robot, self.trajectory, self.error_bounds, intervals=intervals, period=period
-        )
-
-    def _infeasibility(self, best: PlannedMotion | None) -> str:
-        """Error message for a problem without a solution."""
-        name = self.trajectory.name
-        remedy = "Choose a slower motion, wider error bounds or a lighter platform"
-        if best is None:
-            return f"no motion along {name!r} within the limits was found. {remedy}"
-        if best.payload < 0:
-            heaviest = f"at most {self.robot.mass + best.payload:.3g} kg of the platform's {self.robot.mass:g} kg"
-            return f"{name!r} is infeasible even unloaded: {heaviest} are feasible. {remedy}"
-        heaviest = f"{HEAVIEST * self.robot.mass:g} kg"
-        return f"nothing limits the payload on {name!r}: {heaviest} is feasible. Choose a faster motion"
+        return meshes
 
     # --- replay ---
 
@@ -433,7 +309,7 @@ class _Problem:
             report(f"replaying inputs, trial {trial} of the margins")
             try:
                 if trial == 1:
-                    motion = _solve(program, start, margins)
+                    motion = _with_margins(program, margins, start)
                 else:
                     motion = program.resolve(margins, profile)
             except Infeasible:  # larger margins are infeasible as well
@@ -518,21 +394,16 @@ class _Verified:
     replays: tuple[BestKnownReplay, ...]
 
 
-def _solve(
-    program: MotionProgram, start: PlannedMotion, margins: Margins | None = None
-) -> PlannedMotion:
-    """The motion of a program, from its last solution if there is one.
+def _with_margins(program: MotionProgram, margins: Margins, start: PlannedMotion) -> PlannedMotion:
+    """The motion of a program with margins, from its last solution if there is one.
 
     Raises:
         Infeasible: if the solver finds no motion within the constraints.
     """
-    if margins is not None:
-        with suppress(Infeasible):
-            return program.resolve(margins)
     try:
-        return program.solve(start)
-    except Infeasible:  # a start close to the limits can make the solver fail
-        return program.solve()
+        return program.resolve(margins)
+    except Infeasible:
+        return solve(program, start)
 
 
 def _bytes(result: BestKnownPayload) -> bytes:

@@ -13,7 +13,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from cablebot_gym.bounds.best_known import _case, _Problem, find_best_known
+from cablebot_gym.bounds.optimum import Problem, find_optimum
 from cablebot_gym.envs.single import CableBotEnv
 from cablebot_gym.kinematics import Array
 from cablebot_gym.planning import Infeasible, PlannedMotion
@@ -57,23 +57,23 @@ def find_drawn_payload(
         uncertainty: uncertainty, as for :func:`~cablebot_gym.uncertainty.find_uncertainty`.
         seed: seed of the draw.
         cache: whether to read the nominal result from the disk cache and to store it there.
-        options: ``robot``, ``trajectory``, ``error_bounds`` and ``control_frequency`` of
-            :func:`~cablebot_gym.bounds.best_known.find_best_known`.
+        options: those of :func:`~cablebot_gym.bounds.optimum.find_optimum`.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
         ValueError: if an argument is invalid, or if no motion of the nominal robot is found.
     """
-    nominal = find_best_known(env_id, cache=cache, **options)
-    case = _case(env_id, **options)
-    checked = find_uncertainty(uncertainty, case.robot)
-    env = gym.make(env_id, uncertainty=checked, max_episode_steps=None, **case.conditions).unwrapped
+    nominal = find_optimum(env_id, cache=cache, **options)
+    problem = Problem.of(env_id, **options)
+    checked = find_uncertainty(uncertainty, problem.robot)
+    given = problem.conditions
+    env = gym.make(env_id, uncertainty=checked, max_episode_steps=None, **given).unwrapped
     assert isinstance(env, CableBotEnv)
     env.reset(seed=whole("seed", seed))
-    true = drawn_robot(case.robot, env.truth)
+    true = drawn_robot(problem.robot, env.truth)
     without_lag = true.replace(motors=true.motors.replace(lag=0.0))
     intervals, reference = nominal.meshes[0]
-    motion = _optimum(replace(case, robot=without_lag), intervals, nominal.motion)
+    motion = _optimum(replace(problem, robot=without_lag), intervals, nominal.first)
     payload = None
     if motion is not None:
         payload = _nominal_payload(env, seed, motion.payload)
@@ -100,19 +100,20 @@ def drawn_robot(robot: Robot, truth: Mapping[str, Array]) -> Robot:
     return robot.replace(motors=motors, transmission=transmission, **changes)
 
 
-def _optimum(case: _Problem, intervals: int, start: PlannedMotion) -> PlannedMotion | None:
+def _optimum(problem: Problem, intervals: int, start: PlannedMotion) -> PlannedMotion | None:
     """The motion of a drawn robot with the largest payload, from that of the nominal one; None if the
     solver finds none."""
-    program = case._program(intervals)
+    program = problem.program(intervals)
     try:
         return program.solve(start, near=True)
     except Infeasible:
         pass
     # without friction the motion is smooth: a closer start
-    transmission = case.robot.transmission.replace(coulomb_friction=0.0, load_friction=0.0)
-    smooth = replace(case, robot=case.robot.replace(transmission=transmission))
+    robot = problem.robot
+    transmission = robot.transmission.replace(coulomb_friction=0.0, load_friction=0.0)
+    smooth = replace(problem, robot=robot.replace(transmission=transmission))
     try:
-        return program.solve(smooth._program(intervals).solve(start))
+        return program.solve(smooth.program(intervals).solve(start))
     except Infeasible:
         return None
 

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from oracles.collocation import largest_payload
 
-from cablebot_gym.bounds import best_known, exact_payload
+from cablebot_gym.bounds import best_known, exact_payload, optimum
 from cablebot_gym.bounds.best_known import cached_best_known, find_best_known
 from cablebot_gym.bounds.drawn import find_drawn_payload
+from cablebot_gym.bounds.optimum import Mesh, find_optimum
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.motions import find_trajectory
 from cablebot_gym.planning import Infeasible, MotionProgram
@@ -87,16 +88,17 @@ def test_each_replay_has_to_verify(monkeypatch, line, failed):
     replays = list(line.replays)
     replays[failed] = dataclasses.replace(replays[failed], violation="cable 1 is slack")
     found = best_known._Verified(motion=line.motion, actions=line.actions, replays=tuple(replays))
-    monkeypatch.setattr(best_known._Problem, "_refine", lambda *_: ([(20, line.motion)], None))
-    monkeypatch.setattr(best_known._Problem, "_verify", lambda *_: found)
-    assert not best_known._case(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
+    mesh = Mesh(intervals=20, program=None, motion=line.motion)
+    monkeypatch.setattr(best_known._Search, "_refined", lambda *_: [mesh])
+    monkeypatch.setattr(best_known._Search, "_verify", lambda *_: found)
+    assert not best_known._Search.of(PLANAR_ID, trajectory=LINE).solve(lambda _: None).verified
 
 
 @pytest.mark.landing
 def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
-    case = best_known._case(PLANAR_ID, trajectory=LINE)
+    case = best_known._Search.of(PLANAR_ID, trajectory=LINE)
     refinements = []
-    record = best_known._Problem._record
+    record = best_known._Search._record
 
     def fails(self, policy, payload, **keywords):
         refinements.append(keywords.get("substeps"))
@@ -104,15 +106,15 @@ def test_replay_has_to_hold_at_finer_steps_too(monkeypatch, line):
             return record(self, policy, 1.1 * payload, **keywords)
         return record(self, policy, payload, **keywords)
 
-    monkeypatch.setattr(best_known._Problem, "_record", fails)
+    monkeypatch.setattr(best_known._Search, "_record", fails)
     monkeypatch.setattr(best_known, "_TRIALS", 3)
-    assert case._verify(case._program(20), line.motion, lambda _: None) is None
+    assert case._verify(case.program(20), line.motion, lambda _: None) is None
     assert line.replays[1].substeps in refinements
     payloads = iter([1.0, 3.0, 2.0])
     monkeypatch.setattr(
         MotionProgram, "solve", lambda *_, **__: SimpleNamespace(payload=next(payloads))
     )
-    assert case._first(case._program(20)).payload == 3.0  # the best of several starts
+    assert case.best_of_starts(case.program(20)).payload == 3.0  # the best of several starts
 
 
 # --- the paper's circle and other robots ------------------------------------------------------------------------------
@@ -137,7 +139,7 @@ def test_refinement_stops_where_further_meshes_change_little(payloads, converged
 @pytest.mark.parametrize(("env_id", "nodes"), [(PLANAR_ID, 320), (FLEX_ID, 160), (POINT_ID, 160)])
 def test_payload_is_close_to_an_independent_collocation(env_id, nodes):
     """Margins that hold at all times once cost up to 5 % of the payload."""
-    case = best_known._case(env_id)
+    case = best_known._Search.of(env_id)
     optimum = largest_payload(
         case.robot,
         case.trajectory,
@@ -177,7 +179,7 @@ def solved(monkeypatch, line):
         calls.append(case)
         return dataclasses.replace(line, payload=float(len(calls)))
 
-    monkeypatch.setattr(best_known._Problem, "solve", solve)
+    monkeypatch.setattr(best_known._Search, "solve", solve)
     return calls
 
 
@@ -243,9 +245,18 @@ def test_slow_control_is_rejected(cache):
     ],
 )
 def test_infeasible_problem_names_the_remedy(arguments, message, monkeypatch):
-    monkeypatch.setattr(best_known, "_FIRST_MESHES", 1)
+    monkeypatch.setattr(optimum, "_FIRST_MESHES", 1)
     with pytest.raises(ValueError, match=message):
         find_best_known(PLANAR_ID, cache=False, **arguments)
+
+
+@pytest.mark.landing
+def test_optimum_has_the_first_meshes_of_the_best_known_payload(line, cache):
+    computed = find_optimum(PLANAR_ID, trajectory=LINE)
+    assert computed.meshes == line.meshes[: optimum.MESHES]
+    cached = find_optimum(PLANAR_ID, trajectory=LINE)
+    assert (cached.meshes, cached.payload) == (computed.meshes, computed.payload)
+    np.testing.assert_array_equal(cached.first.poses, computed.first.poses)
 
 
 # --- a drawn robot ----------------------------------------------------------------------------------------------------
@@ -255,7 +266,8 @@ HEAVIER = {"parameters": {"payload": {"low": 0.03, "high": 0.03}}, "sensors": {"
 
 @pytest.fixture
 def drawn(monkeypatch, line):
-    monkeypatch.setattr("cablebot_gym.bounds.drawn.find_best_known", lambda *_, **__: line)
+    found = optimum.Optimum(meshes=line.meshes, first=line.motion)
+    monkeypatch.setattr("cablebot_gym.bounds.drawn.find_optimum", lambda *_, **__: found)
     return partial(find_drawn_payload, PLANAR_ID, trajectory=LINE, seed=0)
 
 
@@ -271,5 +283,5 @@ def test_infeasible_draw_counts_as_missing(drawn, monkeypatch):
     def solve(*_, **__):
         raise Infeasible("stop")
 
-    monkeypatch.setattr("cablebot_gym.bounds.best_known.MotionProgram.solve", solve)
+    monkeypatch.setattr("cablebot_gym.planning.MotionProgram.solve", solve)
     assert drawn(uncertainty="none").ratio is None
