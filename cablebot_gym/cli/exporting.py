@@ -20,7 +20,7 @@ def export(
 
     Example: cablebot robot export cogiro --payload 300 --out cogiro.xml
     """
-    from cablebot_gym.envs.settings import FREQUENCY, fewest_substeps
+    from cablebot_gym.envs.settings import fewest_substeps
     from cablebot_gym.exporters import export_mjcf
     from cablebot_gym.physics import textbook
     from cablebot_gym.robots import find_robot
@@ -38,7 +38,7 @@ def export(
     exported = export_mjcf(
         robot,
         payload=payload,
-        timestep=1 / FREQUENCY / fewest_substeps(robot),
+        timestep=1 / robot.defaults.control_frequency / fewest_substeps(robot),
         holding_torques=torques,
     )
     atomic_write_text(out, exported.text)

@@ -154,7 +154,9 @@ class TaskOptions(Options):
         "Largest allowed rotation error of the task criterion [mrad]. The default is in the robot's data; "
         "without data, 10.",
     ] = None
-    control_frequency: Annotated[float, "Control steps per second [Hz]."] = 500.0
+    control_frequency: Annotated[
+        float | None, "Control steps per second [Hz]. The default is in the robot's data, or 500."
+    ] = None
 
     def keywords(self) -> dict[str, Any]:
         """Keywords of an evaluation: the options that are given, with ``error_bounds`` [m, rad] for the

@@ -82,7 +82,6 @@ def _draw(check: RobotCheck, motion: MotionCheck, out: Path) -> None:
 
 def report(check: RobotCheck) -> list[str]:
     """The check without a motion, as lines of text."""
-    from cablebot_gym.envs.settings import FREQUENCY
     from cablebot_gym.robots import KIND_TEXTS
 
     robot = check.robot
@@ -120,7 +119,8 @@ def report(check: RobotCheck) -> list[str]:
     if check.substeps is None:
         lines.append("step       the springs are too stiff for the default physics step")
     else:
-        step = f"{1e3 / FREQUENCY / check.substeps:.3g} ms"
+        period = 1e3 / robot.defaults.control_frequency  # [ms]
+        step = f"{period / check.substeps:.3g} ms"
         lines.append(
             f"step       {counted(check.substeps, 'physics step')} of {step} in a control period"
         )

@@ -43,9 +43,6 @@ LONGEST_PHYSICS_STEP = 1e-3
 0.5 s. Longer steps would be accurate enough, but limits are checked once a step: with steps of 2 ms,
 violations are found later."""
 
-FREQUENCY = 500.0
-"""Default number of actions per second [Hz]."""
-
 MODE_LOSS = {"planar": 1e-6, "spatial": 1e-5}
 """Largest fraction of its energy that RK4 may take from the fastest mode of a flexible robot per
 second, with the default physics step: ``planar`` for planar point masses, ``spatial`` for all other
@@ -90,6 +87,12 @@ Check = Callable[[str, Any, Scope], Any]
 ValueError that names it."""
 
 _PER_ENVIRONMENT = "one number, or one per environment"
+
+
+def _frequency(name: str, value: Any, scope: Scope) -> float:
+    if value is None:
+        return scope.robot.defaults.control_frequency
+    return number(name, value, above=0)
 
 
 def _or_none(check: Check) -> Check:
@@ -292,8 +295,8 @@ class Settings:
     ] = "unilateral"
     control_frequency: Annotated[
         float,
-        Keyword(lambda name, value, scope: number(name, value, above=0), "actions per second [Hz]"),
-    ] = FREQUENCY
+        Keyword(_frequency, "actions per second [Hz]; None for that of the robot"),
+    ] = None  # type: ignore[assignment]  # the check replaces None
     substeps: Annotated[
         int,
         Keyword(
@@ -504,10 +507,11 @@ def _check_motion(robot: Robot, motion: Trajectory, bounds: ErrorBounds) -> None
 def fewest_substeps(
     robot: Robot,
     uncertainties: tuple[Uncertainty, ...] = (Uncertainty(),),
-    control_frequency: float = FREQUENCY,
+    control_frequency: float | None = None,
 ) -> int:
     """Default number of physics steps per control period: the fewest that satisfy
-    :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`.
+    :data:`LONGEST_PHYSICS_STEP`, :data:`MODE_LOSS` and :data:`STABLE_PHASE`. The control frequency is
+    that of the robot if it is None.
 
     Raises:
         ValueError: if there would be more than :data:`MOST_SUBSTEPS`.
@@ -521,7 +525,8 @@ def fewest_substeps(
         rate = highest_frequency(robot)  # [rad/s]
         phase = (72 * loss / rate) ** 0.2  # φ⁶/72 in each of ω/φ steps per second
         longest = min(longest, phase / rate)
-    needed = 1 / (control_frequency * longest)
+    frequency = control_frequency or robot.defaults.control_frequency
+    needed = 1 / (frequency * longest)
     if needed > MOST_SUBSTEPS:
         raise ValueError(
             f"robot {robot.name!r} needs {needed:.3g} physics steps in a control period: raise control_frequency, use "

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cablebot_gym.envs import check_robot, described
-from cablebot_gym.envs.settings import FREQUENCY, KEYWORDS, default_trajectory
+from cablebot_gym.envs.settings import KEYWORDS, default_trajectory
 from cablebot_gym.evaluation.judge import CRITERIA
 from cablebot_gym.motions import Trajectory, find_trajectory
 from cablebot_gym.robots import Robot, private_robot
@@ -48,7 +48,7 @@ class Conditions(Printed):
     """Reference motion."""
     error_bounds: Any = None
     """Bounds of the tracking errors."""
-    control_frequency: float = FREQUENCY
+    control_frequency: float | None = None
     """Control frequency [Hz]."""
     measurement: Any = None
     """Sensors of the policy."""

@@ -145,8 +145,8 @@ TRAJECTORIES: dict[str, Callable[..., Trajectory]] = {
         lemniscate={"amplitude": (10.0, 5.0), "duration": 20.0},
         loop={
             "start": (0.0, 0.0, -6.0),
-            "reach": (5.0, 0.5),
-            "acceleration": (14.0, 4.0),
+            "reach": (2.0, 0.2),
+            "acceleration": (9.0, 4.0),
         },
     ),
     **_motions_of(

@@ -17,6 +17,9 @@ RPM = 2 * math.pi / 60
 
 GRAVITY = 9.81
 """Gravitational acceleration along +z [m/s²], the value of the paper and of most robots here."""
+FREQUENCY = 500.0
+"""Usual number of actions per second [Hz]."""
+
 PerMotor = float | tuple[float, ...]
 
 Cable = Literal["unilateral", "bilateral"]
@@ -189,6 +192,9 @@ class Defaults:
     """Defaults of the environments and evaluations of a robot. None and omitted keys stand for the
     usual defaults."""
 
+    control_frequency: float = FREQUENCY
+    """Actions per second [Hz]; > 0."""
+
     trajectory: str | Mapping[str, Any] | None = None
     """Reference motion, as for :func:`~cablebot_gym.motions.names.find_trajectory`."""
     error_bounds: Mapping[str, float] | None = None
@@ -198,6 +204,7 @@ class Defaults:
     commands that run an episode with one payload use ``low`` if none is given."""
 
     def __post_init__(self) -> None:
+        number("control_frequency", self.control_frequency, above=0, unit="Hz")
         mapping("error_bounds", self.error_bounds or {}, ("position", "rotation"))
         if self.payload_range is not None:
             payloads = numbers(

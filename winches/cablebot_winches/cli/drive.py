@@ -148,7 +148,8 @@ def drive(
     if log is not None:
         result.save(log)
         say(f"wrote {log}")
-    print("\n".join(_lines(result, 1 / conditions.control_frequency)))
+    frequency = conditions.control_frequency or robot.defaults.control_frequency
+    print("\n".join(_lines(result, 1 / frequency)))
     raise typer.Exit(_status(result))
 
 
@@ -182,7 +183,8 @@ def _open_channels(
                 real_time=options.real_time,
                 start_pose=start_pose(robot, motion, bounds).tolist(),
                 payload=payload,
-                control_frequency=conditions.control_frequency,
+                control_frequency=conditions.control_frequency
+                or robot.defaults.control_frequency,
                 faults=[Fault.parse(text) for text in options.fault or []],
             )
             addresses = stack.enter_context(boards)
