@@ -66,8 +66,6 @@ class PolicyEntry:
     of the name."""
     summary: str
     """Description in one line."""
-    slow: bool = False
-    """Whether an evaluation takes minutes. Most benchmark suites skip slow policies of this project."""
     unsaturated_actions: bool = False
     """Whether the policy declares ``unsaturated_actions``. A test holds the policies of this project
     to it; the paper criterion marks the results of others as declared."""

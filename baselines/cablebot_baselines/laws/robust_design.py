@@ -4,7 +4,8 @@ The paper's robust law (Eqs. 26–36) has free parameters. Here all of them foll
 and the task:
 
 * **Stiffness Ω** (Eq. 18): ``K_P = Ω²`` and ``K_D = 2 Ω``, as large as :func:`stiffness_limit`
-  allows with the longest delay, the longest motor lag and half a control period as dead time T. A
+  allows. The law acts for the instant at which its action takes effect, so the dead time T is what is
+  not known of the delay and the motor lag, and half a control period. A
   phase margin of :data:`PHASE_MARGIN` means ``c Ω T ≤ atan(2 c) − PHASE_MARGIN``. Springs with the
   damping ``f √(K J′)`` delay the acceleration by another ``f/ω`` with ``ω² = K/J′``; ``f ω = 2
   Ω/RESONANCE_GAIN`` leaves the gain :data:`RESONANCE_GAIN` at ω. With as many cables as coordinates,
@@ -121,8 +122,7 @@ class RobustDesign:
 
     @property
     def mass(self) -> float:
-        """Middle of the possible masses of platform and payload m̂, with which an observer starts
-        [kg]."""
+        """Middle of the possible masses of platform and payload m̂ [kg]."""
         return float(self.robot.mass) + self.largest_payload / 2
 
     @property
@@ -173,8 +173,9 @@ class RobustDesign:
     def stiffness(self) -> float:
         """Ω [1/s]: K_P = Ω² and K_D = 2 Ω inside the boundary layer."""
         period = 1 / self.task.control_frequency
-        _, longest = self.expectation.effect_times(period)
-        limit = stiffness_limit(longest + period / 2, self.spring_frequency)
+        shortest, longest = self.expectation.effect_times(period)
+        unknown = (longest - shortest) / 2
+        limit = stiffness_limit(unknown + period / 2, self.spring_frequency)
         if self.robot.cables > self.robot.coordinates:
             return limit  # the allocated tension carries the noise
         return min(limit, self.noise_limit)

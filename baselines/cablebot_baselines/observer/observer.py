@@ -6,6 +6,8 @@ acts for the robot that it meets, at the instant at which its action takes effec
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -47,6 +49,11 @@ by the platform's size."""
 OFFSET_DRIFT = 0.1
 """Growth of the standard deviation of a spring's zero angle in one second, in units of its initial
 one."""
+
+START, POINT_START = 0.5, 0.1
+"""Payload with which the filter starts if it is unknown, as a fraction of the largest possible one; the
+second one of a point mass. A mass that is lighter than expected rises, and the law that stops it slackens
+redundant cables. One that is heavier sags, which turns a platform."""
 
 _AHEAD_STEPS = 4
 """Number of steps in which the motion of a flexible robot is predicted until an action takes
@@ -110,6 +117,8 @@ class RobotObserver:
             self._winches = WinchSensors(expectation, self.columns, measurement, start_pose, period)
         self._torques = Torques(expectation, self.columns, period, self._winches)
         self._least_growth = self._growth_without_mass()
+        self._start = POINT_START if self.robot.point_mass else START
+        self._least_mass = self.robot.mass - 3 * expectation.mass_spread
 
     def estimate(self, state: ObserverState) -> RobotEstimate:
         """The estimates in a state of the filter."""
@@ -183,9 +192,10 @@ class RobotObserver:
         is_known = blocks["payload_known"][:, 0] > 0.5
         model_payload = blocks["model_payload"][:, 0]
         largest = np.broadcast_to(self.largest_payload, is_known.shape)
-        payload = np.where(is_known, model_payload, largest / 2)
+        start = self._start
+        payload = np.where(is_known, model_payload, start * largest)
         known_spread = expected.payload_spread * payload
-        unknown_spread = largest / np.sqrt(12)
+        unknown_spread = math.sqrt(((1 - start) ** 3 + start**3) / 3) * largest
         payload_spread = np.where(is_known, known_spread, unknown_spread)
         count = len(payload)
         mean = np.zeros((count, columns.total))
@@ -269,7 +279,7 @@ class RobotObserver:
         delay = mean[:, columns.delay]
         mass = mean[:, columns.mass]
         mean[:, columns.delay] = np.clip(delay, *self._effect_times)
-        mean[:, columns.mass] = np.maximum(mass, self.robot.mass / 2)
+        mean[:, columns.mass] = np.maximum(mass, self._least_mass)
         return ObserverState(
             mean=mean,
             covariance=covariance,
