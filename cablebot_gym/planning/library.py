@@ -100,9 +100,20 @@ def cached_plan(
         make: makes the plan.
         more: further data on which it depends, see :func:`fingerprint`.
     """
-    key = fingerprint(module, robot, trajectory, **more)
-    plan: PlannedMotion = load_or_compute(f"plan-{key}.npz", _read_plan, make, _plan_bytes)
+    name = _plan_file(module, robot, trajectory, **more)
+    plan: PlannedMotion = load_or_compute(name, _read_plan, make, _plan_bytes)
     return plan
+
+
+def stored_plan(
+    module: str, robot: Robot, trajectory: Trajectory, **more: Any
+) -> PlannedMotion | None:
+    """The plan that :func:`cached_plan` would read; None if the cache does not have it."""
+    return read_cached(cache_folder() / _plan_file(module, robot, trajectory, **more), _read_plan)
+
+
+def _plan_file(module: str, robot: Robot, trajectory: Trajectory, **more: Any) -> str:
+    return f"plan-{fingerprint(module, robot, trajectory, **more)}.npz"
 
 
 def _plan_bytes(plan: PlannedMotion) -> bytes:

@@ -108,37 +108,43 @@ _EPISODE_ARRAYS = (
 
 def rehearse(
     law: ObserverLaw,
-    task: Task,
+    tasks: Sequence[Task],
     uncertainty: Uncertainty,
-    payloads: Sequence[float],
-) -> Rehearsal:
-    """Episodes of a law with each payload and each of :data:`ROBOTS` random robots.
+    payloads: Sequence[Sequence[float]],
+) -> list[Rehearsal]:
+    """Episodes of a law on each task, with each of its payloads and each of :data:`ROBOTS` random
+    robots.
 
     Args:
-        law: the law.
-        task: the task, whose payload is unknown to the law.
+        law: the law of these episodes, task by task and payload by payload.
+        tasks: the tasks, whose payloads are unknown to the law. They differ in their motions alone.
         uncertainty: uncertainty from which the robots are drawn.
-        payloads: nominal payloads [kg]. The robots are the same for each.
+        payloads: nominal payloads of each task [kg]. The robots are the same for each.
     """
-    count = len(payloads) * ROBOTS
+    task_of_row = np.repeat(np.arange(len(tasks)), [ROBOTS * len(some) for some in payloads])
+    payload = np.repeat(np.concatenate(payloads), ROBOTS)
+    count = len(payload)
+    first = tasks[0]
     env = CableBotVectorEnv(
-        robot=task.robot,
+        robot=first.robot,
         num_envs=count,
-        trajectory=task.trajectory,
-        error_bounds=task.error_bounds,
-        control_frequency=task.control_frequency,
-        cable=task.cable,
+        error_bounds=first.error_bounds,
+        control_frequency=first.control_frequency,
+        cable=first.cable,
         uncertainty=uncertainty,
-        payload_known=task.payload_known,
+        payload_known=first.payload_known,
         autoreset_mode=AutoresetMode.DISABLED,
     )
-    payload = np.repeat(np.asarray(payloads, float), ROBOTS)
     seeds = [SEED + episode % ROBOTS for episode in range(count)]
-    observation, _ = env.reset(seed=seeds, options={"payload": payload})
+    options: dict[str, Any] = {"payload": payload}
+    for index, task in enumerate(tasks):
+        options["trajectory"] = task.trajectory
+        observation, _ = env.reset(seed=seeds, options=options)
+        options["reset_mask"] = task_of_row > index  # only the first reset starts all episodes
     law.reset(env.tasks)
     state: Any = None
     steps: dict[str, list[Array]] = {name: [] for name in _EPISODE_ARRAYS[1:]}
-    for _ in range(task.steps):
+    for _ in range(max(task.steps for task in tasks)):
         action, state = law.predict(observation, state)
         observation, _, _, _, info = env.step(action)
         steps["poses"].append(env.pose)
@@ -147,9 +153,15 @@ def rehearse(
         steps["action"].append(state.requested)
         steps["tension"].append(info["least_tensions"].min(axis=1))
         steps["largest_tension"].append(info["largest_tensions"].max(axis=1))
-    arrays = {name: np.stack(values, axis=1) for name, values in steps.items()}
-    times = np.arange(1, task.steps + 1) / task.control_frequency
-    return Rehearsal(task=task, payloads=payload, times=times, **arrays)
+    rehearsals = []
+    for index, task in enumerate(tasks):
+        rows = task_of_row == index
+        arrays = {}
+        for name, values in steps.items():
+            arrays[name] = np.stack([value[rows] for value in values[: task.steps]], axis=1)
+        times = np.arange(1, task.steps + 1) / task.control_frequency
+        rehearsals.append(Rehearsal(task=task, payloads=payload[rows], times=times, **arrays))
+    return rehearsals
 
 
 SPREADS = {"position": 3.5, "rotation": 4.0, "tension": 4.0, "action": 2.0}

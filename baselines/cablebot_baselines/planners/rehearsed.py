@@ -4,7 +4,7 @@ payload."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -16,6 +16,7 @@ from cablebot_baselines.laws.robust_design import RobustDesign
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.plan_law import PlanLaw
 from cablebot_baselines.planners.rehearsal import (
+    ROBOTS,
     Rehearsal,
     grown_margins,
     keeps_least_tension,
@@ -32,12 +33,12 @@ from cablebot_gym.planning import (
     MotionProgram,
     PlannedMotion,
 )
-from cablebot_gym.planning.library import cached_plan
+from cablebot_gym.planning.library import cached_plan, stored_plan
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import Uncertainty
 
-INTERVALS_PER_SECOND = {"rigid": 50.0, "flexible": 30.0}
+INTERVALS_PER_SECOND = {"rigid": 36.0, "flexible": 30.0}
 """Spline intervals of a plan per second [1/s], by joints of the robot. More of them hardly increase
 the DLCC and take longer to plan: minutes with joint springs."""
 
@@ -57,7 +58,7 @@ GAINS = {
 amplify the noise of the sensors, in proportion to the mass; lower ones leave light platforms to the
 errors of the motors."""
 
-SPRING_RATIO = 2.0
+SPRING_RATIO = 1.75
 """Largest Ω of the gains of a flexible robot, which are at most those of ``spatial``, in units of that
 of :class:`~cablebot_baselines.laws.robust_design.RobustDesign`. Soft springs resonate with more."""
 
@@ -85,6 +86,9 @@ FRACTIONS = (0.0, 0.94, 1.0)
 
 ROUNDS = 3
 """Largest number of plans after the first one."""
+
+TOGETHER = 8
+"""Largest number of motions that are planned and rehearsed together: their programs take memory."""
 
 
 def intervals_of(robot: Robot, trajectory: Trajectory) -> int:
@@ -133,28 +137,45 @@ class Planner:
 
     def cached(self, task: Task, make: Callable[[], PlannedMotion], **more: Any) -> PlannedMotion:
         """The cached plan of a task, which also depends on ``more``."""
-        return cached_plan(
-            self.module,
-            task.robot,
-            task.trajectory,
-            make,
-            error_bounds=task.error_bounds,
-            control_frequency=task.control_frequency,
-            cable=task.cable,
-            planner=(self.name, self.key),
-            **more,
-        )
+        keywords = self._keywords(task) | more
+        return cached_plan(self.module, task.robot, task.trajectory, make, **keywords)
 
-    def rehearsed(self, task: Task, uncertainty: Uncertainty) -> PlannedMotion:
-        """The plan that carries most on the random robots of an uncertainty, with unknown payload.
+    def _keywords(self, task: Task) -> dict[str, Any]:
+        """Data on which a cached plan depends."""
+        return {
+            "error_bounds": task.error_bounds,
+            "control_frequency": task.control_frequency,
+            "cable": task.cable,
+            "planner": (self.name, self.key),
+        }
 
-        Raises:
-            Infeasible: as :meth:`PlanSearch.find`.
-        """
-        search = PlanSearch(
-            self, replace(task, payload_known=False, model_payload=0.0), uncertainty
-        )
-        return self.cached(task, search.find, uncertainty=repr(uncertainty))
+    def rehearsed(
+        self, tasks: Sequence[Task], uncertainty: Uncertainty
+    ) -> list[PlannedMotion | None]:
+        """The plan of each task that carries most on the random robots of an uncertainty, with unknown
+        payload; None where there is none. The tasks differ in their motions alone."""
+        plans: list[PlannedMotion | None] = []
+        searches = {}
+        more = {"uncertainty": repr(uncertainty)}
+        for index, task in enumerate(tasks):
+            keywords = self._keywords(task) | more
+            plans.append(stored_plan(self.module, task.robot, task.trajectory, **keywords))
+            if plans[index] is None:
+                unknown = replace(task, payload_known=False, model_payload=0.0)
+                searches[index] = PlanSearch(self, unknown, uncertainty)
+        missing = list(searches)
+        for start in range(0, len(missing), TOGETHER):
+            some = missing[start : start + TOGETHER]
+            found = find_plans([searches[index] for index in some])
+            for index, plan in zip(some, found, strict=True):
+                plans[index] = plan
+                if plan is not None:
+                    self.cached(tasks[index], _given(plan), **more)
+        return plans
+
+
+def _given(plan: PlannedMotion) -> Callable[[], PlannedMotion]:
+    return lambda: plan
 
 
 def first_optimum(
@@ -214,6 +235,21 @@ class _Tracking(ObserverLaw):
         return {}, None
 
 
+@dataclass(frozen=True, kw_only=True)
+class RehearsalQuestion:
+    """What a search wants to be rehearsed."""
+
+    plan: PlannedMotion
+    """The plan."""
+    fractions: tuple[float, ...]
+    """Payloads as fractions of that of the plan."""
+
+    @property
+    def payloads(self) -> list[float]:
+        """Payloads [kg]."""
+        return [fraction * self.plan.payload for fraction in self.fractions]
+
+
 class PlanSearch:
     """Search for the plan that carries most on random robots.
 
@@ -229,22 +265,25 @@ class PlanSearch:
 
     def __init__(self, planner: Planner, task: Task, uncertainty: Uncertainty) -> None:
         self._planner = planner
-        self._task = task
-        self._uncertainty = uncertainty
-        self._expectation = Expectation.of(task.robot, uncertainty)
+        self.task = task
+        """The task."""
+        self.uncertainty = uncertainty
+        """The uncertainty."""
+        self.expectation = Expectation.of(task.robot, uncertainty)
+        """What is expected of the robot."""
 
-    def find(self) -> PlannedMotion:
-        """The plan.
+    def run(self) -> Generator[RehearsalQuestion, Rehearsal, PlannedMotion]:
+        """The plan, after the rehearsals for which the generator asks.
 
         Raises:
             Infeasible: if there is no motion within the error bounds for the expected robot, or the
                 random robots fail unloaded.
         """
-        lightest = -LIGHTEST * self._expectation.mass_spread
+        lightest = -LIGHTEST * self.expectation.mass_spread
         margins = self._margins(self._first_margins, biases=SENSOR_BIASES)
-        robot = self._expectation.robot
-        program, plan = self._planner.first(robot, self._task, margins, lightest)
-        rehearsal = self._rehearsal(plan, (0.0, 1.0))
+        robot = self.expectation.robot
+        program, plan = self._planner.first(robot, self.task, margins, lightest)
+        rehearsal = yield RehearsalQuestion(plan=plan, fractions=(0.0, 1.0))
         profile = self._startable(spread_margins(rehearsal, plan))
         most, best = (-1.0, -1.0), plan
         for _ in range(ROUNDS):
@@ -252,7 +291,7 @@ class PlanSearch:
                 plan = program.resolve(*self._split(profile))
             except Infeasible:
                 break
-            rehearsal = self._rehearsal(plan, FRACTIONS)
+            rehearsal = yield RehearsalQuestion(plan=plan, fractions=FRACTIONS)
             # a plan that misses the reserves is better than none
             carried = rehearsal.largest_carried(), rehearsal.largest_carried(reserved=False)
             if carried > most:
@@ -268,24 +307,19 @@ class PlanSearch:
     def _first_margins(self) -> Margins:
         """Margins of the first plan. The law of a rigid robot with redundant cables can keep the least
         tension of ``observing``; with less, cables would go slack in the first rehearsal."""
-        robot = self._expectation.robot
+        robot = self.expectation.robot
         if not keeps_least_tension(robot):
             return FIRST_MARGINS
-        least = RobustDesign.usual(self._expectation, self._task).minimum_tension
+        least = RobustDesign.usual(self.expectation, self.task).minimum_tension
         return replace(FIRST_MARGINS, tension=least - robot.minimum_tension)
-
-    def _rehearsal(self, plan: PlannedMotion, fractions: tuple[float, ...]) -> Rehearsal:
-        law = tracking_law([plan], self._expectation, [self._task])
-        payloads = [fraction * plan.payload for fraction in fractions]
-        return rehearse(law, self._task, self._uncertainty, payloads)
 
     def _margins(self, margins: Margins, biases: float = 0.0) -> Margins:
         """Margins in SI units, with a number of standard deviations of the sensors' bias."""
-        bounds: ErrorBounds = self._task.error_bounds
-        robot = self._expectation.robot
+        bounds: ErrorBounds = self.task.error_bounds
+        robot = self.expectation.robot
         position = margins.position * bounds.position
         rotation = margins.rotation * bounds.rotation
-        bias = self._uncertainty.sensor_bias
+        bias = self.uncertainty.sensor_bias
         if bias is not None:
             position += min(biases * bias.position, bounds.position / 4)
             rotation += min(biases * bias.rotation, bounds.rotation / 4)
@@ -295,7 +329,7 @@ class PlanSearch:
     def _split(self, profile: MarginProfile) -> tuple[Margins, MarginProfile]:
         """Constant margins, and those over time in addition."""
         margins = self._margins(LEAST_MARGINS)
-        robot = self._expectation.robot
+        robot = self.expectation.robot
         if keeps_least_tension(robot):
             tension = margins.tension + profile.tension.max()
             tension = min(float(tension), largest_tension_margin(robot))
@@ -305,7 +339,7 @@ class PlanSearch:
 
     def _startable(self, profile: MarginProfile) -> MarginProfile:
         """A profile without margins at the start that the springs cannot keep there."""
-        robot = self._expectation.robot
+        robot = self.expectation.robot
         is_stretched = robot.cables == robot.coordinates and not robot.weightless
         if not robot.flexible or is_stretched:  # by the weight of the platform
             return profile
@@ -313,6 +347,48 @@ class PlanSearch:
         ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
         ceiling = ceiling + SPRING_RATE * profile.times
         return replace(profile, tension=np.minimum(profile.tension, ceiling))
+
+
+def find_plans(searches: Sequence[PlanSearch]) -> list[PlannedMotion | None]:
+    """The plans of some searches, which share their rehearsals; None where there is none. Their tasks
+    differ in their motions alone."""
+    plans: list[PlannedMotion | None] = [None] * len(searches)
+    runs = {index: search.run() for index, search in enumerate(searches)}
+    answers: dict[int, Any] = dict.fromkeys(runs)
+    while runs:
+        questions = {}
+        for index, run in list(runs.items()):
+            try:
+                questions[index] = run.send(answers[index])
+            except (StopIteration, Infeasible) as end:
+                plans[index] = getattr(end, "value", None)
+                del runs[index]
+        asking = [searches[index] for index in questions]
+        rehearsals = _rehearsed(asking, list(questions.values()))
+        answers = dict(zip(questions, rehearsals, strict=True))
+    return plans
+
+
+def _rehearsed(
+    searches: Sequence[PlanSearch], questions: Sequence[RehearsalQuestion]
+) -> list[Rehearsal]:
+    """The rehearsals that some searches ask for."""
+    if not searches:
+        return []
+    plans: list[PlannedMotion] = []
+    tasks: list[Task] = []
+    for search, question in zip(searches, questions, strict=True):
+        rows = ROBOTS * len(question.fractions)
+        plans += [question.plan] * rows
+        tasks += [search.task] * rows
+    first = searches[0]
+    law = tracking_law(plans, first.expectation, tasks)
+    return rehearse(
+        law,
+        [search.task for search in searches],
+        first.uncertainty,
+        [question.payloads for question in questions],
+    )
 
 
 def largest_tension_margin(robot: Robot) -> float:

@@ -116,6 +116,7 @@ class TrajOpt:
             ValueError: if a task's robot differs from the policy's robot in kind or anchors.
         """
         self._reference_law.reset(tasks)  # before a plan takes time
+        self._rehearse(tasks)
         rows: dict[Callable[..., ClassicalLaw], list[int]] = {}
         plans = []
         for row, task in enumerate(tasks):
@@ -139,34 +140,50 @@ class TrajOpt:
 
     def _planned(self, task: Task) -> tuple[Callable[..., ClassicalLaw], PlannedMotion | None]:
         """The function that makes the law for a task, and the plan that it tracks."""
-        plan = self._stored(self._rehearsed_plan, task)
+        _, plan = self._plans[self._key("rehearsed", task)]
         if plan is not None and (not task.payload_known or task.model_payload <= plan.payload):
             return self._rehearsed, plan
-        plan = self._stored(self._exact_plan, task)
+        key = self._key("exact", task)
+        if key not in self._plans:
+            plan = None
+            with suppress(Infeasible):
+                plan = self._exact_plan(task)
+            self._keep(key, task, plan)
+        _, plan = self._plans[key]
         if plan is not None:
             return self._exact, plan
         return self._without, None
 
-    def _stored(self, make: Callable[[Task], PlannedMotion], task: Task) -> PlannedMotion | None:
-        """The plan of a function; None if there is none. It is made once."""
+    def _rehearse(self, tasks: Sequence[Task]) -> None:
+        """Makes the rehearsed plans of all tasks that have none yet."""
+        new = {}
+        for task in tasks:
+            key = self._key("rehearsed", task)
+            if key not in self._plans:
+                new[key] = replace(task, robot=self.robot)
+        uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
+        groups: dict[Any, list[Any]] = {}
+        for key in new:
+            _, _, *alike = key
+            groups.setdefault(tuple(alike), []).append(key)
+        for keys in groups.values():
+            of_group = [new[key] for key in keys]
+            plans = self.planner.rehearsed(of_group, uncertainty)
+            for key, task, plan in zip(keys, of_group, plans, strict=True):
+                self._keep(key, task, plan)
+
+    def _key(self, kind: str, task: Task) -> tuple[Any, ...]:
+        """Key of a plan: its kind, the motion, and the rest of the task."""
         motion: Any = task.trajectory
         if not isinstance(motion, Hashable):
             motion = id(motion)  # a trajectory that is not hashable is equal only to itself
-        key = (make.__name__, motion, task.error_bounds, task.control_frequency, task.cable)
-        if key not in self._plans:
-            plan = None
-            with suppress(Infeasible):
-                plan = make(task)
-            if plan is not None and plan.payload <= 0:
-                plan = None
-            # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
-            self._plans[key] = task.trajectory, plan
-        return self._plans[key][1]
+        return kind, motion, task.error_bounds, task.control_frequency, task.cable
 
-    def _rehearsed_plan(self, task: Task) -> PlannedMotion:
-        """The plan for robots that are not exactly known."""
-        uncertainty = find_uncertainty(UNCERTAINTY, self.robot)
-        return self.planner.rehearsed(replace(task, robot=self.robot), uncertainty)
+    def _keep(self, key: tuple[Any, ...], task: Task, plan: PlannedMotion | None) -> None:
+        if plan is not None and plan.payload <= 0:
+            plan = None
+        # Stores the trajectory, too: its id may be part of the key, so it must stay alive.
+        self._plans[key] = task.trajectory, plan
 
     def _exact_plan(self, task: Task) -> PlannedMotion:
         """The plan for an exactly known robot."""
