@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("casadi")
 
-from cablebot_baselines.planners.horizon import ExpectedRobot, HorizonProgram, Target
+from cablebot_baselines.planners.horizon import ExpectedRobots, HorizonProgram, Target
 from cablebot_baselines.planners.nmpc import NMPC, TUNING, NonlinearMPC
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
@@ -68,6 +68,15 @@ def test_plan_uses_the_error_bounds_of_the_task(policies):
     assert peak[0] < 0.002
 
 
+def expected(robot):
+    """One robot of 8 kg, as it is."""
+    return ExpectedRobots(
+        mass=np.array([8.0]),
+        strength=np.ones((1, robot.cables)),
+        disturbance=np.zeros((1, robot.coordinates)),
+    )
+
+
 # --- the program ------------------------------------------------------------------------------------------------------
 
 
@@ -80,7 +89,7 @@ def test_linearisation_has_the_slopes_of_the_textbook(policies, env_id):
     wave = 0.02 * np.sin(20 * program.instants)[:, None]
     plan = program._fit @ (np.array(robot.home) + wave)
     change = 1e-5 * np.random.default_rng(0).normal(size=plan.shape)
-    linear = program.linearised(plan, ExpectedRobot(mass=8.0))
+    linear = program.linearised(plan[None], expected(robot))[0]
     values = linear.values + linear.slope @ change.ravel()
     tensions = TENSION * values[:, m:]
     motion = program.basis(program.instants) @ (plan + change)
@@ -101,14 +110,15 @@ def test_start_of_the_last_part_counts_as_if_known_before(kind):
     home = np.array(program.robot.home)
     zero = np.zeros_like(home)
     reference = np.tile(home, (len(program.instants), 1))
-    target = Target(reference=reference, last_velocity=zero, error_bounds=ErrorBounds())
-    robot = ExpectedRobot(mass=8.0)
-    pose, velocity = home + 1e-4, zero + 1e-3
-    still = program._fit @ reference
+    target = Target(reference=reference[None], last_velocity=zero[None], error_bounds=ErrorBounds())
+    pose, velocity = home[None] + 1e-4, zero[None] + 1e-3
+    still = (program._fit @ reference)[None]
     plans = []
     for plan in (still, program._with_start(still, pose, velocity)):
-        part = program.assembled(program.linearised(plan, robot), target)
-        plans.append(program.solved(part, pose, velocity))
+        part = program.assembled(program.linearised(plan, expected(program.robot)), target)
+        solved, reason = program.solved(part, pose, velocity)
+        assert reason == ""
+        plans.append(solved)
     assert_allclose(plans[0], plans[1], atol=1e-5)
 
 
@@ -158,7 +168,7 @@ def test_last_plan_bridges_failures_until_its_end(failing):
     assert policy.fallbacks == 5
     policy = failing(1)
     state = rollout(policy, vector(PLANAR_ID, 1), steps=110)[3]
-    assert state.memory[0].plan is None
+    assert np.isnan(state.memory.plan).all()
 
 
 # --- invalid input ----------------------------------------------------------------------------------------------------

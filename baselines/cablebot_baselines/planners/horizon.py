@@ -1,16 +1,17 @@
-"""Quadratic program of the receding-horizon controller.
+"""Quadratic programs of the receding-horizon controller.
 
-It plans the motion of the next 0.2 s as a spline within the error bounds that needs small motor
-actions.
+They plan the motion of the next 0.2 s as a spline within the error bounds that needs small motor
+actions, for N robots at once.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg.lapack import dpotrf, dtrtri
 
@@ -73,16 +74,27 @@ class Tuning:
     """Weight of the squared velocity error at the end of the horizon, in bounds per 50 ms."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExpectedRobot:
-    """What is expected of a robot within the horizon."""
+class _Batch:
+    """Data whose arrays have N robots along their first axis."""
 
-    mass: float
-    """Mass of platform and payload [kg]."""
-    strength: Array | float = 1.0
-    """Strength of each motor as a fraction of the nominal one, (m,)."""
-    disturbance: Array | float = 0.0
-    """Acceleration by a wrench, (n,) [m/s², rad/s²]."""
+    def __getitem__(self, rows: Any) -> Self:
+        """The data of some robots."""
+        data = {}
+        for name, value in vars(self).items():
+            data[name] = value[rows] if isinstance(value, np.ndarray) else value
+        return type(self)(**data)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ExpectedRobots(_Batch):
+    """What is expected of N robots within the horizon."""
+
+    mass: Array
+    """Mass of platform and payload, (N,) [kg]."""
+    strength: Array
+    """Strength of each motor as a fraction of the nominal one, (N, m)."""
+    disturbance: Array
+    """Acceleration by a wrench, (N, n) [m/s², rad/s²]."""
 
 
 class PlanningError(RuntimeError):
@@ -90,42 +102,42 @@ class PlanningError(RuntimeError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Target:
-    """What a plan has to do."""
+class Target(_Batch):
+    """What N plans have to do."""
 
     reference: Array
-    """X_d at :attr:`HorizonProgram.instants`, (K, n)."""
+    """X_d at :attr:`HorizonProgram.instants`, (N, K, n)."""
     last_velocity: Array
-    """Ẋ_d at the end of the horizon, (n,)."""
+    """Ẋ_d at the end of the horizon, (N, n)."""
     error_bounds: ErrorBounds
     """Bounds of the tracking errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linearisation:
-    """Actions and tensions, linearised about a plan. Rows are the actions and then the tensions, in
-    units of ``TENSION``, of all motors."""
+class Linearisation(_Batch):
+    """Actions and tensions, linearised about N plans. Rows are the actions and then the tensions, in
+    units of ``TENSION``, of all motors. NaN where a pose is singular."""
 
     plan: Array
-    """Control points (points, n)."""
-    strength: Array | float
-    """Strength of each motor as a fraction of the nominal one, (m,)."""
+    """Control points, (N, points, n)."""
+    strength: Array
+    """Strength of each motor as a fraction of the nominal one, (N, m)."""
     values: Array
-    """Actions and tensions at the instants, (K, 2m)."""
+    """Actions and tensions at the instants, (N, K, 2m)."""
     slope: Array
-    """Derivatives with respect to the control points, (K, 2m, points·n)."""
+    """Derivatives with respect to the control points, (N, K, 2m, points·n)."""
     null_slope: Array
-    """Derivatives with respect to the null-space tensions of the same instant, (K, 2m, m − n)."""
+    """Derivatives with respect to the null-space tensions of the same instant, (N, K, 2m, m − n)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Program:
-    """Quadratic program for the change of a plan whose start is not yet given: ``½ w'w + (g + G s)'w``
-    subject to ``A w ≤ b − B s``, with the change s of the first two control points. The excesses
-    are not part of w here."""
+class Program(_Batch):
+    """Quadratic programs for the changes of N plans whose starts are not yet given: ``½ w'w + (g + G
+    s)'w`` subject to ``A w ≤ b − B s``, with the change s of the first two control points. The excesses
+    are not part of w here. NaN where a program has no solution."""
 
     plan: Array
-    """Control points (points, n)."""
+    """Control points, (N, points, n)."""
     whitening: Array
     """L⁻ᵀ: from w to the changes of the free control points and the null-space tensions."""
     matrix: Array
@@ -151,8 +163,7 @@ class _Fixed:
     error_slope: Array
     """Derivatives of the errors, (K, n, points·n)."""
     matrix: Array
-    """Constraint matrix, (rows, columns). The next program overwrites the rows that are not
-    fixed."""
+    """Constraint matrix, (rows, columns), with zeros in the rows that are not fixed."""
     hessian: Array
     """Hessian of the terms of errors, last velocity and acceleration steps, (points·n, points·n)."""
     gradient: Array
@@ -189,6 +200,8 @@ class HorizonProgram:
         self._knots = np.pad(knots, _DEGREE, mode="edge")
         # Greville abscissa of the second control point [s]
         self._second_point_time = float(knots[1]) / _DEGREE
+        self.points = tuning.intervals + _DEGREE
+        """Number of control points."""
         count = tuning.intervals * tuning.instants + 1
         self.instants = np.linspace(0.0, HORIZON, count)
         """Times at which the constraints apply, (K,) [s]."""
@@ -205,7 +218,7 @@ class HorizonProgram:
         # The load is linear in Ẍ.
         self._steps = np.repeat([_DIFFERENCE, _DIFFERENCE, 1.0], n)
         # Columns: the control points, of which the first two are given, and the null-space tensions.
-        motion = n * (tuning.intervals + _DEGREE)
+        motion = n * self.points
         self._columns = motion + count * (m - n)
         self._start = slice(2 * n)
         self._free = slice(2 * n, None)
@@ -266,54 +279,47 @@ class HorizonProgram:
         return self._fit @ pose
 
     def plan(
-        self,
-        pose: Array,
-        velocity: Array,
-        target: Target,
-        *,
-        robot: ExpectedRobot,
-    ) -> Array:
-        """Control points (points, n) of a plan, from the reference as the first guess.
+        self, pose: Array, velocity: Array, target: Target, *, robots: ExpectedRobots
+    ) -> tuple[Array, str]:
+        """Control points of plans, from the reference as the first guess, and the reason of failures,
+        as :meth:`solved`.
 
         Args:
-            pose: X, (n,) [m, rad].
-            velocity: Ẋ, (n,) [m/s, rad/s].
-            target: what the plan has to do.
-            robot: what is expected of the robot.
-
-        Raises:
-            PlanningError: if one of the quadratic programs has no solution.
+            pose: X, (N, n) [m, rad].
+            velocity: Ẋ, (N, n) [m/s, rad/s].
+            target: what the plans have to do.
+            robots: what is expected of the robots.
         """
-        plan = self._with_start(self._fit @ target.reference, pose, velocity)
+        plans = self._with_start(self._fit @ target.reference, pose, velocity)
+        rows = np.arange(len(plans))
+        first_reason = ""
         for _ in range(_FIRST_ITERATIONS):
-            program = self.assembled(self.linearised(plan, robot), target)
-            plan = self.solved(program, pose, velocity)
-        return plan
+            program = self.assembled(self.linearised(plans[rows], robots[rows]), target[rows])
+            plans[rows], reason = self.solved(program, pose[rows], velocity[rows])
+            first_reason = first_reason or reason
+            rows = rows[has_plan(plans[rows])]
+            if not len(rows):
+                break
+        return plans, first_reason
 
-    def _with_start(self, plan: Array, pose: Array, velocity: Array) -> Array:
-        """A plan with another start."""
+    def _with_start(self, plans: Array, pose: Array, velocity: Array) -> Array:
+        """Plans with other starts."""
         second_point = pose + self._second_point_time * velocity
-        return np.vstack([pose, second_point, plan[2:]])
+        start = np.stack([pose, second_point], axis=1)
+        return np.concatenate([start, plans[:, 2:]], axis=1)
 
-    def linearised(self, plan: Array, expected: ExpectedRobot) -> Linearisation:
-        """First part of an iteration: the robot, linearised about a plan.
-
-        Raises:
-            PlanningError: if the pose is singular.
-        """
+    def linearised(self, plans: Array, expected: ExpectedRobots) -> Linearisation:
+        """First part of an iteration: the robots, linearised about plans."""
         robot = self.robot
-        mass = expected.mass
-        motion = self._bases @ plan
-        motion[2] -= expected.disturbance
+        motion = self._bases[:, None] @ plans
+        motion[2] -= expected.disturbance[:, None]
         varied = self._varied(motion)
-        masses = np.full(varied.shape[1:3], mass)
+        masses = np.empty(varied.shape[1:-1])
+        masses[...] = expected.mass[:, None]
         demand = demands(robot, masses, varied)
         structure = np.swapaxes(demand.structure, -1, -2)
-        try:
-            inverse, null_space = _inverse_and_null_space(structure[0])
-        except np.linalg.LinAlgError as error:
-            raise PlanningError("the pose is singular") from error
-        tensions = self._tensions_of_plan(mass, motion, demand, inverse)
+        inverse, null_space = _inverse_and_null_space(structure[0])
+        tensions = self._tensions_of_plan(masses[0], motion, demand, inverse)
         imbalance = demand.load + times_vector(structure, tensions)
         torques = textbook.motor_torques(robot, 0.0, demand.speeds, demand.pulley_accelerations)
         passive_actions = textbook.normalised_action(robot, torques, demand.speeds)
@@ -325,38 +331,38 @@ class HorizonProgram:
         action_per_tension = TENSION * radius / robot.stall_torque
         per_tension = action_per_tension[..., None]
         action_slope = passive_slope + per_tension * tension_slope
-        slope = np.concatenate([action_slope, tension_slope], axis=1)
-        null_slope = np.concatenate([per_tension * null_space, null_space], axis=1)
+        slope = np.concatenate([action_slope, tension_slope], axis=2)
+        null_slope = np.concatenate([per_tension * null_space, null_space], axis=2)
         tensions = tensions / TENSION
         actions = passive_actions[0] + action_per_tension * tensions
         return Linearisation(
-            plan=plan,
+            plan=plans,
             strength=expected.strength,
-            values=np.concatenate([actions, tensions], axis=1),
+            values=np.concatenate([actions, tensions], axis=2),
             slope=self._slope(slope),
             null_slope=null_slope,
         )
 
     def _varied(self, motion: Array) -> Array:
-        """A motion (3, K, n), and after it those with a difference of one coordinate of X, Ẋ or Ẍ,
-        (3, 1 + 3n, K, n)."""
+        """Motions (3, N, K, n), and after them those with a difference of one coordinate of X, Ẋ or
+        Ẍ, (3, 1 + 3n, N, K, n)."""
         variations = np.arange(len(self._steps))
         order, coordinate = np.divmod(variations, self.robot.coordinates)
         varied = np.repeat(motion[:, None], 1 + len(variations), axis=1)
-        varied[order, 1 + variations, :, coordinate] += self._steps[:, None]
+        varied[order, 1 + variations, ..., coordinate] += self._steps[:, None, None]
         return varied
 
     def _difference_quotients(self, values: Array) -> Array:
-        """Derivatives with respect to (X, Ẋ, Ẍ), (K, size, 3n), of values at :meth:`_varied`, (1 +
-        3n, K, size)."""
+        """Derivatives with respect to (X, Ẋ, Ẍ), (N, K, size, 3n), of values at :meth:`_varied`, (1 +
+        3n, N, K, size)."""
         differences = values[1:] - values[0]
-        quotients = differences / self._steps[:, None, None]
+        quotients = differences / self._steps[:, None, None, None]
         return np.moveaxis(quotients, 0, -1)
 
     def _tensions_of_plan(
-        self, mass: float, motion: Array, demand: Demands, inverse: Array
+        self, mass: Array, motion: Array, demand: Demands, inverse: Array
     ) -> Array:
-        """Tensions of an unvaried motion, (K, m) [N]."""
+        """Tensions of unvaried motions with masses (N, K), (N, K, m) [N]."""
         robot = self.robot
         minimum = self.minimum_tension
         load = demand.load[0]
@@ -377,107 +383,106 @@ class HorizonProgram:
     # would need more time than BLAS for it.
 
     def assembled(self, linearisation: Linearisation, target: Target) -> Program:
-        """Second part of an iteration: the quadratic program.
-
-        Raises:
-            PlanningError: if a number is not finite.
-        """
+        """Second part of an iteration: the quadratic programs."""
         fixed = self._fixed(target.error_bounds)
-        poses, velocities, accelerations = self._bases @ linearisation.plan
+        poses, velocities, accelerations = self._bases[:, None] @ linearisation.plan
         errors = (poses - target.reference) / fixed.bounds
-        end_velocity = (velocities[-1] - target.last_velocity) / fixed.bounds
-        jumps = np.diff(accelerations, axis=0) / fixed.bounds
-        limited_errors = errors[1:]
-        matrix = fixed.matrix
+        end_velocity = (velocities[:, -1] - target.last_velocity) / fixed.bounds
+        jumps = np.diff(accelerations, axis=1) / fixed.bounds
+        limited_errors = errors[:, 1:]
+        count = len(poses)
+        matrix = np.repeat(fixed.matrix[None], count, axis=0)
         m = self.robot.cables
         slope = linearisation.slope
         null_slope = linearisation.null_slope
         # Actions have an upper limit, tensions a lower one.
-        self._write_rows(matrix[self._actions], slope[:, :m], null_slope[:, :m])
-        self._write_rows(matrix[self._tensions], -slope[:, m:], -null_slope[:, m:])
-        lengths = self._write_lengths(fixed, limited_errors)
-        hessian = np.zeros((self._columns, self._columns))
-        hessian[self._motion, self._motion] = fixed.hessian
+        self._write_rows(matrix[:, self._actions], slope[:, :, :m], null_slope[:, :, :m])
+        self._write_rows(matrix[:, self._tensions], -slope[:, :, m:], -null_slope[:, :, m:])
+        lengths = self._write_lengths(matrix, fixed, limited_errors)
+        hessian = np.zeros((count, self._columns, self._columns))
+        hessian[:, self._motion, self._motion] = fixed.hessian
         null_space = np.arange(self._motion.stop, self._columns)
-        hessian[null_space, null_space] += 1e-6  # makes the program strictly convex
-        gradient = np.zeros(self._columns)
-        fixed_values = np.concatenate([errors, end_velocity[None], jumps], axis=None)
-        gradient[self._motion] = fixed.gradient @ fixed_values
-        powers, power_slope = self._action_powers(linearisation, matrix[self._actions])
-        hessian += power_slope.T @ power_slope
-        gradient += powers @ power_slope
+        hessian[:, null_space, null_space] += 1e-6  # makes the programs strictly convex
+        gradient = np.zeros((count, self._columns))
+        values = [errors.reshape(count, -1), end_velocity, jumps.reshape(count, -1)]
+        gradient[:, self._motion] = np.concatenate(values, axis=1) @ fixed.gradient.T
+        powers, power_slope = self._action_powers(linearisation, matrix[:, self._actions])
+        hessian += np.swapaxes(power_slope, 1, 2) @ power_slope
+        gradient += times_vector(np.swapaxes(power_slope, 1, 2), powers)
         free = self._free
-        factor, failed = dpotrf(hessian[free, free], lower=1)
-        if failed or not np.isfinite(matrix).all():
-            raise PlanningError("the linearised equations are not finite")
-        whitening = dtrtri(factor, lower=1)[0].T
+        unwhitened = _inverse_factors(hessian[:, free, free])
         return Program(
             plan=linearisation.plan,
-            whitening=whitening,
-            matrix=whitening.T @ matrix[:, free].T,
-            start_matrix=matrix[:, self._start].copy(),
+            whitening=np.swapaxes(unwhitened, 1, 2),
+            matrix=unwhitened @ np.swapaxes(matrix[:, :, free], 1, 2),
+            start_matrix=matrix[:, :, self._start].copy(),
             limit=self._limits(linearisation, fixed, limited_errors, lengths),
-            gradient=gradient[free] @ whitening,
-            start_gradient=whitening.T @ hessian[free, self._start],
+            gradient=times_vector(unwhitened, gradient[:, free]),
+            start_gradient=unwhitened @ hessian[:, free, self._start],
         )
 
-    def solved(self, program: Program, pose: Array, velocity: Array) -> Array:
-        """Last part of an iteration: control points (points, n) of a plan from a start.
+    def solved(self, program: Program, pose: Array, velocity: Array) -> tuple[Array, str]:
+        """Last part of an iteration: control points (N, points, n) of plans from their starts, and the
+        reason of the first failure; NaN where there is none.
 
         Args:
-            program: the quadratic program; its plan has a start nearby.
-            pose: X, (n,) [m, rad].
-            velocity: Ẋ, (n,) [m/s, rad/s].
-
-        Raises:
-            PlanningError: if the program has no solution.
+            program: the quadratic programs; their plans have starts nearby.
+            pose: X, (N, n) [m, rad].
+            velocity: Ẋ, (N, n) [m/s, rad/s].
         """
-        plan = self._with_start(program.plan, pose, velocity)
-        start_change = (plan - program.plan)[:2].ravel()
-        gradient = program.gradient + program.start_gradient @ start_change
-        limit = program.limit - program.start_matrix @ start_change
-        if not (np.isfinite(gradient).all() and np.isfinite(limit).all()):
-            raise PlanningError("the linearised equations are not finite")
+        plans = self._with_start(program.plan, pose, velocity)
+        count = len(plans)
+        start_change = (plans - program.plan)[:, :2].reshape(count, -1)
+        gradient = program.gradient + times_vector(program.start_gradient, start_change)
+        limit = program.limit - times_vector(program.start_matrix, start_change)
+        first_reason = ""
         inputs = self._quadratic.inputs
-        inputs["g"][:-2, 0] = gradient
-        inputs["a"][:, :-2] = program.matrix.T
-        inputs["uba"][:, 0] = limit
-        change = program.whitening @ self._quadratic()[:-2]
-        free_points = plan[2:]
-        point_changes = change[: free_points.size]
-        free_points += point_changes.reshape(free_points.shape)
-        return plan
+        for row in range(count):
+            inputs["g"][:-2, 0] = gradient[row]
+            inputs["a"][:, :-2] = program.matrix[row].T
+            inputs["uba"][:, 0] = limit[row]
+            try:
+                if not (np.isfinite(gradient[row]).all() and np.isfinite(limit[row]).all()):
+                    raise PlanningError("the linearised equations are not finite")
+                change = program.whitening[row] @ self._quadratic()[:-2]
+            except PlanningError as error:
+                first_reason = first_reason or str(error)
+                plans[row] = np.nan
+                continue
+            free_points = plans[row, 2:]
+            free_points += change[: free_points.size].reshape(free_points.shape)
+        return plans, first_reason
 
     def _write_rows(self, rows: Array, slope: Array, null_slope: Array) -> None:
-        """Writes the rows of actions or tensions, (K·m, columns)."""
-        count, m, _ = slope.shape
-        rows = rows.reshape(count, m, -1)
-        rows[:, :, self._motion] = slope
+        """Writes the rows of actions or tensions, (N, K·m, columns)."""
+        robots, count, m, _ = slope.shape
+        rows = rows.reshape(robots, count, m, -1)
+        rows[..., self._motion] = slope
         if self._has_null_space:
             instants = np.arange(count)
-            null_rows = rows[:, :, self._null_space].reshape(count, m, count, -1)
-            null_rows[instants, :, instants] = null_slope
+            null_rows = rows[..., self._null_space].reshape(robots, count, m, count, -1)
+            null_rows[:, instants, :, instants] = np.swapaxes(null_slope, 0, 1)
 
-    def _write_lengths(self, fixed: _Fixed, errors: Array) -> Array:
-        """Writes the rows of ‖e‖, linearised, and returns it at all instants but the first, (K −
-        1,)."""
+    def _write_lengths(self, matrix: Array, fixed: _Fixed, errors: Array) -> Array:
+        """Writes the rows of ‖e‖, linearised, and returns it at all instants but the first, (N, K −
+        1)."""
         position = slice(self.robot.dimensions)
-        position_errors = errors[:, position]
-        lengths: Array = np.linalg.norm(position_errors, axis=1)
-        directions = position_errors / np.maximum(lengths, 1e-9)[:, None]
-        slope = directions[:, None] @ fixed.error_slope[1:, position]
-        fixed.matrix[self._lengths, self._motion] = slope[:, 0]
+        position_errors = errors[..., position]
+        lengths: Array = np.linalg.norm(position_errors, axis=-1)
+        directions = position_errors / np.maximum(lengths, 1e-9)[..., None]
+        slope = directions[:, :, None] @ fixed.error_slope[1:, position]
+        matrix[:, self._lengths, self._motion] = slope[:, :, 0]
         return lengths
 
     def _action_powers(
         self, linearisation: Linearisation, action_rows: Array
     ) -> tuple[Array, Array]:
-        """a^(p/2), whose sum of squares is the mean of aᵖ, (K·m,), and their derivatives (K·m,
+        """a^(p/2), whose sum of squares is the mean of aᵖ, (N, K·m), and their derivatives (N, K·m,
         columns)."""
         m = self.robot.cables
         count = len(self.instants)
         # The slope of a^(p/2) must not vanish.
-        actions = np.maximum(linearisation.values[:, :m], 0.05)
+        actions = np.maximum(linearisation.values[:, :, :m], 0.05)
         half = self.tuning.action_exponent / 2
         # The last instant counts half, as in the trapezoidal rule.
         weights = np.full((count, 1), 1 / count)
@@ -485,16 +490,17 @@ class HorizonProgram:
         roots = np.sqrt(weights)
         slope = half * actions ** (half - 1) * roots
         powers = roots * actions**half
-        return powers.ravel(), slope.reshape(-1, 1) * action_rows
+        robots = len(actions)
+        return powers.reshape(robots, -1), slope.reshape(robots, -1, 1) * action_rows
 
     def _limits(
         self, linearisation: Linearisation, fixed: _Fixed, errors: Array, lengths: Array
     ) -> Array:
-        """Room of a plan to the limit of each row, (rows,)."""
+        """Room of each plan to the limit of each row, (N, rows)."""
         m = self.robot.cables
-        actions = linearisation.values[:, :m]
-        tensions = linearisation.values[:, m:]
-        largest_action = linearisation.strength * (1 - self.tuning.margins.action)
+        actions = linearisation.values[:, :, :m]
+        tensions = linearisation.values[:, :, m:]
+        largest_action = linearisation.strength[:, None] * (1 - self.tuning.margins.action)
         room = (
             largest_action - actions,
             tensions - self.minimum_tension / TENSION,
@@ -502,7 +508,7 @@ class HorizonProgram:
             fixed.limits - errors,
             fixed.limits + errors,
         )
-        return np.concatenate(room, axis=None)
+        return np.concatenate([part.reshape(len(actions), -1) for part in room], axis=1)
 
     def _fixed_parts(self, error_bounds: ErrorBounds) -> _Fixed:
         """The parts of all programs with the same error bounds."""
@@ -543,14 +549,20 @@ class HorizonProgram:
         return values
 
     def _slope(self, by_motion: Array) -> Array:
-        """Converts derivatives with respect to (X, Ẋ, Ẍ), (K, rows, 3n), to those for the control
-        points, (K, rows, points·n)."""
-        count, rows, _ = by_motion.shape
+        """Converts derivatives with respect to (X, Ẋ, Ẍ), (N, K, rows, 3n), to those for the control
+        points, (N, K, rows, points·n)."""
+        robots, count, rows, _ = by_motion.shape
         n = self.robot.coordinates
-        by_order = by_motion.reshape(count, rows, 3, n).swapaxes(1, 2)
-        slope = np.moveaxis(self._bases, 0, -1) @ by_order.reshape(count, 3, rows * n)
-        by_point = slope.reshape(count, -1, rows, n).swapaxes(1, 2)
-        return by_point.reshape(count, rows, -1)
+        by_order = by_motion.reshape(robots, count, rows, 3, n).swapaxes(2, 3)
+        by_order = by_order.reshape(robots, count, 3, rows * n)
+        slope = np.moveaxis(self._bases, 0, -1) @ by_order
+        by_point = slope.reshape(robots, count, self.points, rows, n).swapaxes(2, 3)
+        return by_point.reshape(robots, count, rows, self.points * n)
+
+
+def has_plan(plans: Array) -> NDArray[np.bool_]:
+    """Whether there is a plan, (N,), of plans that are NaN where there is none."""
+    return np.asarray(np.isfinite(plans).all(axis=(1, 2)))
 
 
 class _BufferedSolver:
@@ -591,19 +603,32 @@ class _BufferedSolver:
         return self._variables
 
 
-def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
-    """Pseudoinverses (K, m, n) and null spaces (K, m, m − n) of matrices (K, n, m).
+def _inverse_factors(matrices: Array) -> Array:
+    """L⁻¹ with LLᵀ of symmetric matrices (N, size, size); NaN if one is not positive definite."""
+    inverses = np.full_like(matrices, np.nan)
+    for inverse, matrix in zip(inverses, matrices, strict=True):
+        factor, failed = dpotrf(matrix, lower=1)
+        if not failed:
+            inverse[:], _ = dtrtri(factor, lower=1)
+    return inverses
 
-    Raises:
-        numpy.linalg.LinAlgError: if a square matrix is singular, or a number is not finite.
-    """
-    _, n, m = forces.shape
+
+def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
+    """Pseudoinverses (N, K, m, n) and null spaces (N, K, m, m − n) of matrices (N, K, n, m); NaN for a
+    robot with a singular square matrix, or with a number that is not finite."""
+    *_, n, m = forces.shape
+    is_finite: NDArray[np.bool_] = np.asarray(np.isfinite(forces).all(axis=(1, 2, 3)))
     if n == m:
-        no_null_space = np.zeros((len(forces), m, 0))
-        return np.linalg.inv(forces), no_null_space
-    left, singular_values, right = np.linalg.svd(forces)
-    right = np.swapaxes(right, 1, 2)
-    left = np.swapaxes(left / singular_values[:, None], 1, 2)
-    inverse = right[:, :, :n] @ left
-    null_space = right[:, :, n:]
+        is_finite &= (np.linalg.det(forces) != 0).all(axis=1)
+    safe = np.where(is_finite[:, None, None, None], forces, np.eye(n, m))
+    if n == m:
+        inverse = np.linalg.inv(safe)
+        null_space = np.zeros((*safe.shape[:2], m, 0))
+    else:
+        left, singular_values, right = np.linalg.svd(safe)
+        right = np.swapaxes(right, -1, -2)
+        left = np.swapaxes(left / singular_values[..., None, :], -1, -2)
+        inverse = right[..., :n] @ left
+        null_space = right[..., n:]
+    inverse[~is_finite] = np.nan
     return inverse, null_space

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cablebot_baselines.entries import entry
 from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
@@ -17,17 +18,17 @@ from cablebot_baselines.laws.outer_loop import by_kind
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.horizon import (
     HORIZON,
-    ExpectedRobot,
+    ExpectedRobots,
     HorizonProgram,
     Linearisation,
-    PlanningError,
     Program,
     Target,
     Tuning,
+    has_plan,
 )
 from cablebot_gym.planning import Margins
 from cablebot_gym.robots import Robot
-from cablebot_gym.task import Task
+from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import find_uncertainty
 
 _LOGGER = logging.getLogger("cablebot_gym")
@@ -79,20 +80,26 @@ where the motors have less friction.
 """
 
 
+TOGETHER = 32
+"""Largest number of plans that are made together: their matrices fit into the cache."""
+
+_Rows = NDArray[np.intp]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlannerState:
-    """Plan of one environment between two control steps."""
+    """Plans of N environments between two control steps."""
 
-    step: int = 0
-    """Number of steps since the start of the episode."""
-    plan: Array | None = None
-    """Control points (points, n); None without a valid plan."""
-    age: float = 0.0
-    """Time since the start of the plan [s]."""
-    pending: Linearisation | Program | None = None
-    """Finished parts of the next plan; None if there are none."""
-    out_of_range: bool = False
-    """Whether the platform is too far from its reference to plan."""
+    step: NDArray[np.int64]
+    """Number of steps since the start of the episode, (N,)."""
+    plan: Array
+    """Control points, (N, points, n); NaN without a valid plan."""
+    age: Array
+    """Time since the start of the plan, (N,) [s]."""
+    out_of_range: NDArray[np.bool_]
+    """Whether the platform is too far from its reference to plan, (N,)."""
+    pending: tuple[tuple[_Rows, Linearisation | Program], ...]
+    """Finished parts of the next plans, and their environments."""
 
 
 class NonlinearMPC(ObserverLaw):
@@ -145,123 +152,176 @@ class NonlinearMPC(ObserverLaw):
         super().reset(tasks)
         self.fallbacks = 0
 
-    def reference(
-        self, instant: Instant, memory: Any
-    ) -> tuple[dict[str, Array], list[PlannerState]]:
+    def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
         """The plans at the instant at which the action takes effect in place of the reference, and
         the plans for the next step."""
-        planners = []
-        for index, starts in enumerate(instant.starts):
-            planner = PlannerState()
-            if memory is not None and not starts:
-                planner = self._advanced(memory[index])
-            phase = planner.step % STEPS_PER_PLAN
-            if phase == 0:
-                planner = self._replanned(instant, index, planner)
-            elif phase >= _LINEARISING:
-                planner = self._prepared(instant, index, planner, phase)
-            planners.append(planner)
-        if any(planner.plan is None for planner in planners):
-            planned, _ = super().reference(instant, memory)
-        else:
-            planned = {name: np.empty_like(instant.ahead["pose"]) for name in _PLANNED}
-        for index, planner in enumerate(planners):
-            if planner.plan is None:
-                continue
-            motion = self.program.basis_at(round(planner.age, 9)) @ planner.plan
-            for name, value in zip(_PLANNED, motion, strict=True):
-                planned[name][index] = value
-        return planned, planners
+        planner = self._advanced(memory, instant.starts)
+        phase = planner.step % STEPS_PER_PLAN
+        due = np.flatnonzero(phase == 0)
+        if len(due):
+            planner = self._replanned(instant, planner, due)
+        planner = self._prepared(instant, planner, phase)
+        is_planned = has_plan(planner.plan)
+        planned, _ = super().reference(instant, memory)
+        for age in np.unique(planner.age[is_planned]).tolist():
+            rows = np.flatnonzero(is_planned & (planner.age == age))
+            motion = self.program.basis_at(age)[:, None, None] @ planner.plan[rows]
+            for name, values in zip(_PLANNED, motion[:, :, 0], strict=True):
+                planned[name][rows] = values
+        return planned, planner
 
-    def _advanced(self, planner: PlannerState) -> PlannerState:
-        """The last plan after one control period."""
-        age = planner.age + self.observer.period
-        plan = planner.plan
-        if age > HORIZON:
-            plan = None
-        return replace(planner, step=planner.step + 1, plan=plan, age=age)
-
-    def _replanned(self, instant: Instant, index: int, planner: PlannerState) -> PlannerState:
-        """The state with a new plan."""
-        reason = self._obstacle(instant.blocks, index)
-        if reason:
-            if not planner.out_of_range:
-                self._count_fallback(reason)
-            return replace(planner, plan=None, pending=None, out_of_range=True)
-        part = planner.pending
-        planner = replace(planner, pending=None, out_of_range=False)
-        start = instant.ahead["pose"][index], instant.ahead["velocity"][index]
-        try:
-            if isinstance(part, Program):
-                plan = self.program.solved(part, *start)
-            elif planner.plan is None:
-                plan = self.program.plan(
-                    *start,
-                    self._target(instant, index, 0.0),
-                    robot=_expected(instant, index),
-                )
-            else:
-                return planner  # nothing was prepared, and the last plan is still valid
-        except PlanningError as error:
-            self._count_fallback(str(error))
-            return planner
-        return replace(planner, plan=plan, age=0.0)
-
-    def _prepared(
-        self, instant: Instant, index: int, planner: PlannerState, phase: int
-    ) -> PlannerState:
-        """The state with the next part of the next plan, in a control step before it."""
-        part = planner.pending
-        pending: Linearisation | Program | None = None
-        try:
-            if isinstance(part, Linearisation):
-                target = self._target(instant, index, self.observer.period)
-                pending = self.program.assembled(part, target)
-            elif planner.plan is not None and phase == _LINEARISING:
-                age = round(planner.age + 2 * self.observer.period, 9)
-                plan = self.program.shift(age) @ planner.plan
-                pending = self.program.linearised(plan, _expected(instant, index))
-        except PlanningError as error:
-            self._count_fallback(str(error))
-        return replace(planner, pending=pending)
-
-    def _target(self, instant: Instant, index: int, time: float) -> Target:
-        """What a plan has to do that starts a time after the instant at which the action takes
-        effect."""
-        task = self._tasks[index]
-        start = float(instant.time(task, index) + time)
-        motion = task.trajectory(start + self.program.instants)
-        return Target(
-            reference=motion.position,
-            last_velocity=motion.velocity[-1],
-            error_bounds=task.error_bounds,
+    def _advanced(self, planner: PlannerState | None, starts: NDArray[np.bool_]) -> PlannerState:
+        """The last plans after one control period; none where an episode starts."""
+        count = len(starts)
+        if planner is None:
+            no_plan = np.full((count, self.program.points, self.robot.coordinates), np.nan)
+            return PlannerState(
+                step=np.zeros(count, np.int64),
+                plan=no_plan,
+                age=np.zeros(count),
+                out_of_range=np.zeros(count, np.bool_),
+                pending=(),
+            )
+        age = np.where(starts, 0.0, np.round(planner.age + self.observer.period, 9))
+        plan = planner.plan.copy()
+        plan[starts | (age > HORIZON)] = np.nan
+        return PlannerState(
+            step=np.where(starts, 0, planner.step + 1),
+            plan=plan,
+            age=age,
+            out_of_range=planner.out_of_range & ~starts,
+            pending=_without(planner.pending, starts),
         )
 
-    def _obstacle(self, blocks: dict[str, Array], index: int) -> str:
-        """Why there can be no plan; empty if there can."""
-        bounds = self._tasks[index].error_bounds
-        error = (blocks["pose"][index] - blocks["reference_pose"][index]) / _MAX_ERROR_RATIO
-        d = self.robot.dimensions
-        position = np.linalg.norm(error[:d])
-        rotation = np.abs(error[d:]).max(initial=0.0)
-        if position < bounds.position and rotation < bounds.rotation:
-            return ""
-        return "the platform is too far from its reference"
+    def _replanned(self, instant: Instant, planner: PlannerState, due: _Rows) -> PlannerState:
+        """The state with new plans of the environments that are due."""
+        plan, age = planner.plan.copy(), planner.age.copy()
+        out_of_range = planner.out_of_range.copy()
+        obstructed = due[self._is_obstructed(instant.blocks, due)]
+        self._count_fallbacks(
+            int(np.sum(~out_of_range[obstructed])), "the platform is too far from its reference"
+        )
+        plan[obstructed] = np.nan
+        out_of_range[due] = False
+        out_of_range[obstructed] = True
+        pose, velocity = instant.ahead["pose"], instant.ahead["velocity"]
+        without_part = ~out_of_range
+        without_part[np.setdiff1d(np.arange(len(plan)), due)] = False
+        for rows, part in _without(planner.pending, out_of_range):
+            if isinstance(part, Program) and np.isin(rows, due).all():
+                without_part[rows] = False
+                self._keep(rows, *self.program.solved(part, pose[rows], velocity[rows]), plan, age)
+        missing = without_part & ~has_plan(plan)
+        for rows in self._together(np.flatnonzero(missing)):
+            made = self.program.plan(
+                pose[rows],
+                velocity[rows],
+                self._target(instant, rows, 0.0),
+                robots=_expected(instant, rows),
+            )
+            self._keep(rows, *made, plan, age)
+        is_due = np.zeros(len(plan), np.bool_)
+        is_due[due] = True
+        return replace(
+            planner,
+            plan=plan,
+            age=age,
+            out_of_range=out_of_range,
+            pending=_without(planner.pending, is_due),
+        )
 
-    def _count_fallback(self, reason: str) -> None:
-        if self.fallbacks == 0:
+    def _keep(self, rows: _Rows, made: Array, reason: str, plan: Array, age: Array) -> None:
+        """Writes the plans that were made; the last ones stay where there is none."""
+        succeeded = has_plan(made)
+        plan[rows[succeeded]] = made[succeeded]
+        age[rows[succeeded]] = 0.0
+        self._count_fallbacks(int(np.sum(~succeeded)), reason)
+
+    def _prepared(
+        self, instant: Instant, planner: PlannerState, phase: NDArray[np.int64]
+    ) -> PlannerState:
+        """The state with the next parts of the next plans, in the control steps before them."""
+        pending: list[tuple[_Rows, Linearisation | Program]] = []
+        for rows, part in planner.pending:
+            if isinstance(part, Linearisation):
+                target = self._target(instant, rows, self.observer.period)
+                part = self.program.assembled(part, target)
+            pending.append((rows, part))
+        begins = (phase == _LINEARISING) & has_plan(planner.plan)
+        for age in np.unique(planner.age[begins]).tolist():
+            shift = self.program.shift(round(age + 2 * self.observer.period, 9))
+            for rows in self._together(np.flatnonzero(begins & (planner.age == age))):
+                plans = shift @ planner.plan[rows]
+                part = self.program.linearised(plans, _expected(instant, rows))
+                pending.append((rows, part))
+        return replace(planner, pending=tuple(pending))
+
+    def _together(self, rows: _Rows) -> list[_Rows]:
+        """The rows in parts that are planned together: few, with the same error bounds."""
+        groups: dict[ErrorBounds, list[int]] = {}
+        for row in rows.tolist():
+            groups.setdefault(self._tasks[row].error_bounds, []).append(row)
+        parts = []
+        for group in groups.values():
+            for start in range(0, len(group), TOGETHER):
+                parts.append(np.array(group[start : start + TOGETHER]))
+        return parts
+
+    def _target(self, instant: Instant, rows: _Rows, time: float) -> Target:
+        """What plans have to do that start a time after the instant at which the action takes
+        effect."""
+        count = len(instant.time_to_go)
+        curve = np.broadcast_to(self._curve, count)[rows, None]
+        start = self._references.durations[curve] - instant.time_to_go[rows, None] + time
+        times = start + self.program.instants
+        curves = np.broadcast_to(curve, times.shape)
+        (samples,) = self._references(curves, times, 1)
+        n = self.robot.coordinates
+        return Target(
+            reference=samples[..., :n],
+            last_velocity=samples[:, -1, n : 2 * n],
+            error_bounds=self._tasks[rows[0]].error_bounds,
+        )
+
+    def _is_obstructed(self, blocks: dict[str, Array], rows: _Rows) -> NDArray[np.bool_]:
+        """Whether platforms are too far from their references to plan."""
+        d = self.robot.dimensions
+        error = (blocks["pose"] - blocks["reference_pose"])[rows] / _MAX_ERROR_RATIO
+        position = np.linalg.norm(error[:, :d], axis=1)
+        rotation = np.abs(error[:, d:]).max(axis=1, initial=0.0)
+        bounds = [self._tasks[row].error_bounds for row in rows.tolist()]
+        is_near = position < [each.position for each in bounds]
+        is_near &= rotation < [each.rotation for each in bounds]
+        return ~is_near
+
+    def _count_fallbacks(self, count: int, reason: str) -> None:
+        if count and self.fallbacks == 0:
             _LOGGER.warning(
                 "nmpc has no new plan and tracks the previous plan or the reference: %s", reason
             )
-        self.fallbacks += 1
+        self.fallbacks += count
 
 
-def _expected(instant: Instant, index: int) -> ExpectedRobot:
-    """What is expected of the robot of an environment."""
-    return ExpectedRobot(
-        mass=float(instant.estimate.mass[index]),
-        strength=instant.estimate.strength[index],
-        disturbance=instant.ahead["disturbance"][index],
+def _without(
+    pending: Sequence[tuple[_Rows, Linearisation | Program]], dropped: NDArray[np.bool_]
+) -> tuple[tuple[_Rows, Linearisation | Program], ...]:
+    """Parts of plans without those of some environments, (N,)."""
+    kept = []
+    for rows, part in pending:
+        stays = ~dropped[rows]
+        if stays.all():
+            kept.append((rows, part))
+        elif stays.any():
+            kept.append((rows[stays], part[stays]))
+    return tuple(kept)
+
+
+def _expected(instant: Instant, rows: _Rows) -> ExpectedRobots:
+    """What is expected of the robots of some environments."""
+    return ExpectedRobots(
+        mass=instant.estimate.mass[rows],
+        strength=instant.estimate.strength[rows],
+        disturbance=instant.ahead["disturbance"][rows],
     )
 
 
