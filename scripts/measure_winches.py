@@ -268,7 +268,7 @@ def compute(env_id: str, case: dict[str, str]) -> Row:
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Markdown table of the rows: payload of each case, its fraction of that with the exact pose,
+    """Markdown table of the rows: the payload of each case as a fraction of that with the exact pose,
     and the consistency of the filter."""
     stored = {row.key: row.result for row in rows}
     lines: dict[tuple[str, ...], dict[str, str]] = defaultdict(dict)
@@ -279,11 +279,11 @@ def table(rows: Sequence[Row]) -> str:
             place = env_id, case["disturbance"]
             if case["sensors"] == "pose":
                 exact[place] = result["payload"]
-            names = (f"`{case['sensors']}`", "–", NAMES[case["errors"]])
-            if case["estimator"]:
-                names = (names[0], f"`{case['estimator']}`", names[2])
+                continue
+            sensors, estimator = case["sensors"], case["estimator"]
+            names = f"`{sensors}`", f"`{estimator}`", NAMES[case["errors"]]
             line = (*names, DISTURBANCES[case["disturbance"]])
-            lines[line][env_id] = _cell(case, result, exact.get(place))
+            lines[line][env_id] = _cell(result, exact.get(place))
     head = ["sensors", "estimator", "errors of the sensors", "deviation"]
     head += [f"`{env_id}`, `{law}`" for env_id, law in LAWS.items()]
     body = []
@@ -297,14 +297,14 @@ def table(rows: Sequence[Row]) -> str:
     )
 
 
-def _cell(case: dict[str, str], result: Mapping[str, Any], exact: float | None) -> str:
+def _cell(result: Mapping[str, Any], exact: float | None) -> str:
     """Text of a case, from its result and the payload with the exact pose."""
     payload = result["payload"]
     text = "fails unloaded"
-    if payload is not None:
-        text = f"{payload:.2f} kg"
-        if case["estimator"] and exact is not None:
-            text += f", {payload / exact:.0%}"
+    if exact is None:
+        text = "fails unloaded, with the exact pose too"
+    elif payload is not None:
+        text = f"{payload / exact:.0%}"
     if result.get("nees") is not None:
         text += f" (NEES {result['nees']:.2f})"
     return text

@@ -7,9 +7,9 @@ A block stands between two comments, so that the page is plain Markdown, on the 
     <!-- end of NAME -->
 
 NAME is ``leaderboard`` (the best policy of each kind), ``recommendations`` (the best policies by what
-is known of a robot), ``measurement`` (payload lost by sensors and errors), ``errors`` (payload with
-each error alone), ``library payloads`` (payloads of laws on the real robots), a table of ``cablebot
-list``, or a script in ``examples/``, with its output if the name ends in ``and output``.
+is known of a robot), ``measurement`` (payload lost by sensors and errors), ``real robots`` (payloads of
+exact tracking), a table of ``cablebot list``, or a script in ``examples/``, with its output if the name
+ends in ``and output``.
 
 python scripts/pages.py
 """
@@ -22,7 +22,7 @@ import re
 import subprocess
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -31,26 +31,23 @@ import measure_winches
 import numpy as np
 
 from cablebot_gym.benchmark.leaderboard import (
-    errors_text,
-    library_tables,
     markdown,
     origins_text,
 )
 from cablebot_gym.benchmark.scores import (
     Leaderboard,
-    best_known_rows,
     leaderboards,
-    scores,
-    verified_payload,
+    optima,
+    rows_of,
 )
 from cablebot_gym.benchmark.store import Results, file_of, read
 from cablebot_gym.benchmark.tables import heading, markdown_table, motion_title
 from cablebot_gym.bounds.closed_form import exact_payload
-from cablebot_gym.bounds.robot_check import check_motion
+from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.cli.listing import tables
 from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import KIND_TEXTS
+from cablebot_gym.robots import KIND_TEXTS, find_robot, library
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = ROOT / "paper" / "paper.md"
@@ -62,7 +59,6 @@ PAGES = (
     "docs/policies.md",
     "docs/measurement.md",
     "docs/robots.md",
-    "docs/uncertainty.md",
 )
 """Pages with blocks."""
 
@@ -80,17 +76,16 @@ START, LATE = 1.0, 0.01
 
 
 def readme_table(results: Results) -> str:
-    """Sentence and table: the best policy of each kind in each environment, by the main tables of
+    """Sentence and table: the best policy of each kind in each environment, by the first column of
     the leaderboard."""
-    boards = [board for board in leaderboards(results.rows) if board.is_main]
+    boards = leaderboards(results.rows)
     entries = policy_entries()
     rows = [["environment", *KINDS.values()]]
     for board in boards:
         row = [f"`{board.env_id}`"]
         for kind in KINDS:
-            row.append(
-                _best(board, [name for name in board.policies if entries[name].kind == kind])
-            )
+            of_kind = [name for name in board.ranks if entries[name].kind == kind]
+            row.append(_best(board, of_kind, board.columns[0]))
         rows.append(row)
     column = boards[0].columns[0]
     motions = motion_title(column.trajectory["name"], boards[0].motions(column))
@@ -100,29 +95,27 @@ def readme_table(results: Results) -> str:
     return text + markdown_table(rows)
 
 
-def _best(board: Leaderboard, policies: Sequence[str]) -> str:
-    """The best of some policies of a table, in its order, with its fraction and its ties."""
-    if not policies:
+def _best(board: Leaderboard, policies: Iterable[str], column: Conditions) -> str:
+    """The best of some policies in a column, with its fraction, and with its ties in the first one."""
+    fractions = {}
+    for policy in policies:
+        fraction = board.fraction(policy, column)
+        if fraction is not None and fraction.mean > 0:
+            fractions[policy] = fraction.mean
+    if not fractions:
         return "–"
-    policy = policies[0]
-    fraction = board.fraction(policy, board.columns[0])
-    if fraction is None or fraction.mean <= 0:
-        return "–"
+    best, *others = sorted(fractions, key=lambda policy: -fractions[policy])
+    text = f"`{best}` {fractions[best]:.0%}"
     ties = []
-    for follower in policies[1:]:
-        if board.ranks[follower] == board.ranks[policy]:
-            ties.append(f"`{follower}`")
-    text = f"`{policy}` {fraction.mean:.0%}"
+    if column == board.columns[0]:
+        ties = [f"`{name}`" for name in others if board.ranks[name] == board.ranks[best]]
     if ties:
         text += f" (tied with {', '.join(ties)})"
     return text
 
 
-def recommendations(results: Results, of_library: Results) -> str:
-    """The best policies by what is known of a robot: those of the leaderboard, and the laws on the
-    real robots."""
-    boards = leaderboards(results.rows)
-    main = {board.env_id: board for board in boards if board.is_main}
+def recommendations(results: Results) -> str:
+    """The best policies by what is known of a robot."""
     rows = [
         [
             "robot of",
@@ -132,28 +125,20 @@ def recommendations(results: Results, of_library: Results) -> str:
             "the same, in time without a plan",
         ]
     ]
-    for board in boards:
-        if not board.is_main:
-            ranges = main[board.env_id]
-            in_time = [name for name in ranges.policies if _is_in_time(ranges.timings.get(name))]
-            rows.append(
-                [
-                    f"`{board.env_id}`",
-                    f"{exact_tracking(results, board):.0%}",
-                    _best(board, board.policies),
-                    _best(ranges, ranges.policies),
-                    _best(ranges, in_time),
-                ]
-            )
-    evaluated = {policy for board in main.values() for policy in board.policies}
-    for board in boards:
-        if not board.is_main:
-            evaluated -= set(board.policies)
-    text = f"\n{markdown_table(rows)}\nIn time: a start of at most {START:g} s, and at most {LATE:.0%} late actions."
-    if evaluated:
-        names = ", ".join(f"`{name}`" for name in sorted(evaluated))
-        text += f"\nNot evaluated on exactly known robots: {names}."
-    return f"{text}\n\n{markdown_table(_library_rows(of_library))}\n"
+    for board in leaderboards(results.rows):
+        ranges, exact = board.columns[:2]
+        in_time = [name for name in board.ranks if _is_in_time(board.timings.get(name))]
+        rows.append(
+            [
+                f"`{board.env_id}`",
+                f"{exact_tracking(results, board):.0%}",
+                _best(board, board.policies, exact),
+                _best(board, board.ranks, ranges),
+                _best(board, in_time, ranges),
+            ]
+        )
+    start = f"a start of at most {START:g} s, and at most {LATE:.0%} late actions"
+    return f"\n{markdown_table(rows)}\nIn time: {start}.\n"
 
 
 def _is_in_time(timing: Mapping[str, Any] | None) -> bool:
@@ -161,38 +146,31 @@ def _is_in_time(timing: Mapping[str, Any] | None) -> bool:
     return timing is not None and timing["start"] <= START and timing["missed"] <= LATE
 
 
-def _library_rows(results: Results) -> list[list[str]]:
-    """Head, and a row for each kind of real robots: their number, and the laws by their mean fraction
-    of exact tracking."""
-    fractions: dict[tuple[str, str], dict[str, list[float]]] = {}
-    for score in scores(results.rows):
-        robot = score.conditions.nominal_robot
-        laws = fractions.setdefault((KIND_TEXTS[robot.kind], robot.springs), {})
-        exact = check_motion(robot).limit.largest
-        laws.setdefault(score.row.policy, []).append((score.payload or 0.0) / exact)
-    rows = [["real robots", "number", "laws by their fraction of exact tracking"]]
-    for (kind, springs), laws in fractions.items():
-        means = sorted(
-            ((float(np.mean(values)), law) for law, values in laws.items()), reverse=True
-        )
-        texts = [f"`{law}` {mean:.0%}" for mean, law in means]
-        number = len(next(iter(laws.values())))
-        rows.append([f"{kind}, {springs}", str(number), ", ".join(texts)])
-    return rows
-
-
 def exact_tracking(results: Results, board: Leaderboard) -> float:
     """The payload with which motors of a known robot track the motions of a table exactly, as a mean
-    fraction of the best known payload."""
-    entry = max((board.entries[name, board.columns[0]] for name in board.policies), key=len)
-    best_known = best_known_rows(results.rows)
+    fraction of the optimum."""
     fractions = []
-    for score in entry:
-        hoped = verified_payload(best_known[score.row.motion_key])
-        if hoped:
-            given = score.conditions
-            fractions.append(exact_payload(given.nominal_robot, given.motion).payload / hoped)
+    found = optima(results.rows)
+    for key, row in rows_of(results.rows, "optimum").items():
+        given = row.conditions
+        if given.env_id == board.env_id and row.family and key in found:
+            payload = exact_payload(given.nominal_robot, given.motion).payload
+            fractions.append(max(payload, 0.0) / found[key])
     return float(np.mean(fractions))
+
+
+def real_robots() -> str:
+    """Table of the real robots: the payload of exact tracking on their own motions."""
+    rows = [["robot", "platform", "cables", "exact tracking [kg]", "over its ranges [kg]"]]
+    for name in library():
+        robot = find_robot(name)
+        motion = check_motion(robot)
+        ranges = "–"
+        if motion.payload_range is not None:
+            ranges = two_digits(*motion.payload_range)
+        exact = two_digits(motion.limit.largest)
+        rows.append([f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables), exact, ranges])
+    return markdown_table(rows)
 
 
 def stored(suite: str) -> Results:
@@ -208,12 +186,10 @@ def block(name: str) -> str:
     """
     if name == "leaderboard":
         return readme_table(stored("ranked"))
-    if name == "library payloads":
-        return f"\n{library_tables(stored('library').rows)}\n"
-    if name == "errors":
-        return errors_text(stored("errors").rows, "###") + "\n"
+    if name == "real robots":
+        return f"\n{real_robots()}\n"
     if name == "recommendations":
-        return recommendations(stored("ranked"), stored("library"))
+        return recommendations(stored("ranked"))
     if name == "measurement":
         rows = read(file_of(measure_winches.FOLDER, measure_winches.SUITE)).rows
         return measure_winches.table(rows)
@@ -256,19 +232,22 @@ def paper() -> str:
 
 def _of_leaderboard(results: Results) -> dict[str, Any]:
     boards = leaderboards(results.rows)
-    main = [board for board in boards if board.is_main]
-    spatial = main[0]
-    policies = {policy for board in main for policy in board.policies}
-    return {
-        "policies": len(policies),
-        "motions": spatial.motions(spatial.columns[0]),
+    spatial = next(board for board in boards if board.env_id == "CableBot-Spatial-v0")
+    column = spatial.columns[0]
+    best = spatial.policies[0]
+    fractions = {"best": best, "adaptive": "adaptive", "learned": "refined-plan"}
+    texts = {}
+    for name, policy in fractions.items():
+        fraction = spatial.fraction(policy, column)
+        assert fraction is not None
+        texts[f"{name}_fraction"] = f"{fraction.mean:.0%}"
+    return texts | {
+        "policies": len({policy for board in boards for policy in board.policies}),
+        "environments": len(boards),
+        "motions": spatial.motions(column),
         "table": readme_table(results).partition("\n\n")[2].strip(),
-        "fl_known": _circle(boards, "fl"),
-        "fl_unknown": _circle(boards, "fl", payload_known=False, uncertainty="hardware"),
-        "robots": spatial.columns[0].draws,
-        "best": f"`{spatial.policies[0]}`",
-        "best_fraction": _fraction(spatial, spatial.policies[0]),
-        "adaptive_fraction": _fraction(spatial, "adaptive"),
+        "robots": column.draws,
+        "best": f"`{best}`",
     }
 
 
@@ -292,28 +271,6 @@ def _of_reproduction(stored: dict[str, Any]) -> dict[str, str]:
 def _tally(counts: Counter[str]) -> str:
     verdicts = ("reproduced", "not reproduced", "undecided")
     return "; ".join(f"{counts[verdict]} {verdict}" for verdict in verdicts if counts[verdict])
-
-
-def _circle(boards: Sequence[Leaderboard], policy: str, **conditions: Any) -> str:
-    """Payload of a policy of the spatial robot on the circle, under some conditions."""
-    env_id = "CableBot-Spatial-v0"
-    trajectory = {"name": "circle-spatial"}
-    for board in boards:
-        for (name, column), entry in board.entries.items():
-            required = Conditions(
-                env_id=env_id, trajectory=trajectory, draws=column.draws, **conditions
-            )
-            if (name, column) == (policy, required):
-                if entry[0].payload is None:
-                    return "no payload, not even the platform"
-                return f"{entry[0].payload_text} kg"
-    raise ValueError(f"no row of {policy!r} on the circle")
-
-
-def _fraction(board: Leaderboard, policy: str) -> str:
-    fraction = board.fraction(policy, board.columns[0])
-    assert fraction is not None
-    return f"{fraction.mean:.0%}"
 
 
 def main() -> None:

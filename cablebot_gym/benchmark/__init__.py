@@ -1,1 +1,1 @@
-"""The benchmark: the DLCC of every policy as a fraction of the best known payload."""
+"""The benchmark: the DLCC of every policy as a fraction of the optimum."""

@@ -17,12 +17,11 @@ from cablebot_gym.benchmark.suites import find_suite, suite_rows
 from cablebot_gym.policies import PolicySpec
 from cablebot_gym.utils.workers import WorkerDied
 
-BEST_KNOWN_FRACTION = 4
-"""One of this many computed rows, at least one, is a best known payload."""
+OPTIMUM_FRACTION = 4
+"""One of this many computed rows, at least one, is an optimum."""
 
-BEST_KNOWN_TOLERANCE = 2e-3
-"""Largest relative difference of a best known payload, and of its ratio for a random robot: they are
-optimal on a mesh."""
+OPTIMUM_TOLERANCE = 2e-3
+"""Largest relative difference of what a motion allows: a solver computes it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +38,7 @@ class Difference:
 
 def compare_rows(results: Results) -> Difference:
     """Compares the rows of results with those of their suite, by their keys: conditions, motions,
-    robots and seeds. Best known payloads and random robots, which are the denominators, are rows
-    too.
+    robots and seeds. Optima and random robots, which are the denominators, are rows too.
 
     Expected are all policies of the results in all of their environments, and those of other
     packages where they have a row.
@@ -99,7 +97,7 @@ class Recomputed:
         value = _value(self.computed)
         if expected is None or value is None:
             return expected == value
-        tolerance = BEST_KNOWN_TOLERANCE * expected
+        tolerance = OPTIMUM_TOLERANCE * expected
         if self.stored.policy:
             tolerance = self.stored.result["resolution"]
         return abs(value - expected) <= tolerance
@@ -110,25 +108,29 @@ class Recomputed:
         return f"{outcome}: {self.stored}: {values}"
 
 
-def recompute(rows: Sequence[Row], count: int, backend: Backend) -> Iterator[Recomputed]:
-    """Computes randomly chosen rows again, best known payloads among them.
+def recompute(
+    rows: Sequence[Row], count: int, backend: Backend, chooser: random.Random | None = None
+) -> Iterator[Recomputed]:
+    """Computes randomly chosen rows again, optima among them.
 
     Args:
         rows: stored rows. Computing times and rows of policies that are not installed are left out.
         count: number of rows; all if there are fewer.
         backend: see :mod:`cablebot_gym.benchmark.engine`.
+        chooser: chooses the rows; None for another choice each time.
 
     Raises:
         WorkerDied: if a computation ends its process.
     """
-    best_known = {row.key: row for row in rows if row.measure == "best-known"}
+    optima = {row.key: row for row in rows if row.measure == "optimum"}
     others = {}
     for row in rows:
         is_installed = not row.policy or _is_installed(row.policy)
-        if is_installed and row.measure not in ("best-known", "time"):
+        if is_installed and row.measure not in ("optimum", "time"):
             others[row.key] = row
-    chosen = _sample(best_known, max(1, count // BEST_KNOWN_FRACTION))
-    chosen |= _sample(others, count - len(chosen))
+    chooser = chooser or random.SystemRandom()
+    chosen = _sample(chooser, optima, max(1, count // OPTIMUM_FRACTION))
+    chosen |= _sample(chooser, others, count - len(chosen))
     jobs = {key: partial(compute, (row,)) for key, row in chosen.items()}
     for key, computed in backend(jobs):
         if isinstance(computed, WorkerDied):
@@ -136,8 +138,8 @@ def recompute(rows: Sequence[Row], count: int, backend: Backend) -> Iterator[Rec
         yield Recomputed(stored=chosen[key], computed=computed[0])
 
 
-def _sample(rows: Mapping[str, Row], count: int) -> dict[str, Row]:
-    keys = random.SystemRandom().sample(sorted(rows), min(count, len(rows)))
+def _sample(chooser: random.Random, rows: Mapping[str, Row], count: int) -> dict[str, Row]:
+    keys = chooser.sample(sorted(rows), min(count, len(rows)))
     return {key: rows[key] for key in keys}
 
 

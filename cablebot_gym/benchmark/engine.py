@@ -12,9 +12,9 @@ from cablebot_gym.benchmark.store import Store
 from cablebot_gym.utils import workers as processes
 from cablebot_gym.utils.console import Progress
 
-_AFTER_BEST_KNOWN = 1e9
-"""Cost of a drawn robot in episodes: it starts after the nominal ones, whose results it reads from the
-disk cache, and before all policies."""
+_FIRST = {"optimum": 1e12, "best-known": 1e11, "drawn": 1e10}
+"""Costs in episodes of what no policy changes: drawn robots read the optima from the disk cache, and
+policies come last."""
 
 Job = Callable[[], Any]
 """A computation that runs in any process: a ``functools.partial`` of a module-level function, which can
@@ -71,10 +71,6 @@ def _checked(group: Sequence[Row], computed: Any) -> list[Row]:
 
 
 def _cost(group: Sequence[Row]) -> float:
-    """Number of episodes at each payload; best known payloads take longest."""
+    """Number of episodes at each payload, or the place among :data:`_FIRST`."""
     row = group[0]
-    if row.measure == "best-known":
-        return float("inf")
-    if row.measure == "drawn":
-        return _AFTER_BEST_KNOWN
-    return len(group) * (row.conditions.draws or 1)
+    return _FIRST.get(row.measure, len(group) * (row.conditions.draws or 1))

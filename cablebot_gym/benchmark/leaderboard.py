@@ -14,7 +14,7 @@ from cablebot_gym.benchmark.ranking import CONFIDENCE, RANKED_MOTIONS
 from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.scores import (
     Leaderboard,
-    error_tables,
+    is_main,
     leaderboards,
 )
 from cablebot_gym.benchmark.store import Results
@@ -27,7 +27,8 @@ LINE = 118
 
 _INTRODUCTION = """# Leaderboard
 
-Payload [kg] that a policy carries (DLCC), and its fraction of the best known payload: [definitions](#definitions).
+Payload that a policy carries (DLCC) as a fraction of the [optimum](#definitions) of the motion: the mean over motions,
+its interval, and the worst motion. Single motions have the payload [kg], too.
 """
 
 
@@ -35,25 +36,12 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, and notes."""
     rows = results.rows
     boards = leaderboards(rows)
-    main = [board for board in boards if board.is_main]
-    second = [board for board in boards if not board.is_main]
-    text = _INTRODUCTION
-    if main:
-        text += f"\n## Robots that are not exactly known\n\n{_main_text(main)}{origins_text(rows)}"
-    text += _boards_text(main, has_main=True)
-    if main and second:
-        text += "\n## Robots that are exactly known, and single motions\n"
-        text += _absent_text(main, second)
-    text += _boards_text(second, has_main=bool(main))
-    library = library_tables(rows)
-    if library:
-        text += "\n## Real robots\n\n"
-        text += f"Each robot has its own motion, error bounds and payload range.\n\n{library}"
-    text += errors_text(rows, "##")
+    text = _INTRODUCTION + _main_text(boards) + origins_text(rows)
+    for board in boards:
+        text += f"\n## {board.env_id}\n\n{_table(tables.leaderboard_rows(board))}"
     yardsticks = tables.yardstick_rows(rows)
     if len(yardsticks) > 1:
-        text += "\n## What can be hoped for, as a fraction of the best known payload\n\n"
-        text += _table(yardsticks)
+        text += f"\n## Yardsticks, as fractions of the optimum\n\n{_table(yardsticks)}"
     text += _notes_text(rows, boards)
     if results.seed_text is not None:
         text += _hidden_text(results.seed_text)
@@ -68,14 +56,16 @@ def markdown(results: Results) -> str:
 
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
-    """What the number of the main table is."""
+    """What the main column is; empty without one."""
+    if not boards or not is_main(boards[0].columns[0]):
+        return ""
     column = boards[0].columns[0]
     robots = column.draws or 1
     probability = robots / (robots + 1)
-    drawn = f"{robots} random robots carry (`{column.uncertainty}`)"
-    return f"""On each motion, the payload is the largest one that {drawn}. A further one carries it
-with a probability of {probability:.0%}. An entry is the mean of this payload over the motions, as a fraction of what a
-planner can hope for that knows each robot, see the [yardsticks](#yardsticks).
+    return f"""
+The first column ranks policies on robots that are not exactly known. On each motion, the payload is the largest one
+that {robots} random robots carry (`{column.uncertainty}`). A further one carries it with a probability of
+{probability:.0%}. A fraction is that of what a planner can hope for that knows each robot: the yardstick.
 """
 
 
@@ -107,36 +97,6 @@ def _common(sets: Sequence[Mapping[str, str]]) -> dict[str, str]:
     return common
 
 
-def _boards_text(boards: Sequence[Leaderboard], *, has_main: bool) -> str:
-    """The tables under headings; with main tables, those have a common heading each."""
-    text = ""
-    for board in boards:
-        rows = tables.leaderboard_rows(board)
-        level = "###" if has_main else "##"
-        title = board.env_id
-        if has_main and not board.is_main:
-            title += ", exactly known"
-        text += f"\n{level} {title}\n\n{_table(rows)}"
-    return text
-
-
-def _absent_text(main: Sequence[Leaderboard], second: Sequence[Leaderboard]) -> str:
-    """Which policies have rows in the main tables only; empty if there are none."""
-    names = {policy for board in main for policy in board.policies}
-    names -= {policy for board in second for policy in board.policies}
-    if not names:
-        return ""
-    return f"\nNot evaluated here: {_codes(sorted(names))}.\n"
-
-
-def errors_text(rows: Sequence[Row], heading: str) -> str:
-    """The error tables under headings of a level, such as ``##``."""
-    text = ""
-    for table in error_tables(rows):
-        text += f"\n{heading} {tables.error_title(table)}\n\n{_table(tables.error_rows(table))}"
-    return text
-
-
 def _notes_text(rows: Sequence[Row], boards: Sequence[Leaderboard]) -> str:
     notes = list(map(_escaped, tables.failures(rows)))
     notes += map(_escaped, tables.left_out(rows))
@@ -153,10 +113,9 @@ def _notes_text(rows: Sequence[Row], boards: Sequence[Leaderboard]) -> str:
 def _definitions(rows: Sequence[Row]) -> str:
     """Definitions with the error bounds of the rows and the probability of an evaluation."""
     payloads = [row for row in rows if row.measure == "payload"]
-    standard = [row for row in payloads if row.conditions.robot is None]
     path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
     return path.read_text(encoding="utf-8").format(
-        bounds=_bounds_text(standard or payloads[:1]),
+        bounds=_bounds_text(payloads),
         probability=inspect.signature(evaluate_dlcc).parameters["probability"].default,
         confidence=CONFIDENCE,
         ranked=RANKED_MOTIONS,
@@ -178,19 +137,14 @@ def _bounds_text(rows: Sequence[Row]) -> str:
     return "; ".join(f"{text} ({', '.join(env_ids)})" for text, env_ids in environments.items())
 
 
-def library_tables(rows: Sequence[Row]) -> str:
-    """Markdown tables of the robots with their own motions; empty if the rows have none."""
-    return "\n".join(map(_table, tables.library_rows(rows)))
-
-
 def _hidden_text(seed_text: str) -> str:
     return f"""
 ## Hidden motions
 
 The hidden motions of each environment and the evaluation seed follow by SHA-256 from the text
 `{json.dumps(seed_text, ensure_ascii=False)}`.
-If it was fixed after the policies, none of them was made for these motions. That no other text was tried, and
-that the payloads were computed, it does not show: `cablebot benchmark --check N` computes random rows again.
+The text is new at every release: policies may have been tuned on the motions of earlier ones. That no other text was
+tried, and that the payloads were computed, it does not show: `cablebot benchmark --check N` computes random rows again.
 """
 
 

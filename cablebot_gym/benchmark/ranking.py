@@ -25,7 +25,7 @@ RANKED_MOTIONS = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Fraction:
-    """Fractions of the best known payload over one motion or several."""
+    """Fractions of the optimum over one motion or several."""
 
     mean: float
     """Mean over the motions."""

@@ -1,5 +1,5 @@
 """Rows of the benchmark. A row has one number with its conditions: the payload of a policy, the time
-of its actions, or a best known payload."""
+of its actions, or the payload that a motion allows."""
 
 from __future__ import annotations
 
@@ -27,15 +27,23 @@ from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.code_hash import source_hash
 from cablebot_gym.utils.foreign import foreign_object
 
-Measure = Literal["payload", "time", "best-known", "drawn"]
-"""What a row has: the DLCC of a policy; the computing time of its actions; the best known payload; or
-that of a random robot, and its ratio to the nominal one."""
+Measure = Literal["payload", "time", "optimum", "best-known", "drawn"]
+"""What a row has: the DLCC of a policy; the computing time of its actions; the optimum of a motion; its
+best known payload, which replays verify; or the optimum of a random robot, and its ratio to that of the
+nominal one."""
 
-MEASURES: tuple[Measure, ...] = ("payload", "time", "best-known", "drawn")
+MEASURES: tuple[Measure, ...] = ("payload", "time", "optimum", "best-known", "drawn")
 
 PLANT = ("cablebot_gym.envs.vector", "cablebot_gym.evaluation.judge")
 """Modules that decide whether a policy carries a payload. Those that search for it have no effect
 beyond the resolution."""
+
+BOUNDS = {
+    "optimum": "cablebot_gym.bounds.optimum",
+    "best-known": "cablebot_gym.bounds.best_known",
+    "drawn": "cablebot_gym.bounds.drawn",
+}
+"""Modules of the measures that no policy changes."""
 
 WITHOUT_EFFECT = ("cablebot_gym.rendering", "cablebot_gym.utils")
 """Packages that compute no number of a row."""
@@ -54,7 +62,7 @@ class Row:
     measure: Measure
     """What it is."""
     policy: str = ""
-    """Policy name as on the command line; empty for best known payloads."""
+    """Policy name as on the command line; empty for what no policy changes."""
     conditions: Conditions
     """Conditions."""
     search: Mapping[str, Any] = field(default_factory=dict)
@@ -91,7 +99,7 @@ class Row:
 
     @property
     def motion_key(self) -> str:
-        """Key of the best known payload: environment, robot, motion, error bounds and control
+        """Key of the optimum: environment, robot, motion, error bounds and control
         frequency."""
         given = self.conditions
         bounds = given.error_bounds
@@ -109,10 +117,8 @@ class Row:
         name = (self.conditions.robot or env_robot(self.conditions.env_id)).removeprefix(ELASTIC)
         data = tuple(filter(None, [library().get(name)]))
         modules: tuple[str, ...] = PLANT
-        if self.measure == "best-known":
-            modules += ("cablebot_gym.bounds.best_known",)
-        elif self.measure == "drawn":
-            modules += ("cablebot_gym.bounds.drawn",)
+        if self.measure in BOUNDS:
+            modules += (BOUNDS[self.measure],)
         else:
             own_modules, own_data = policy_source(self.policy)
             modules += own_modules
@@ -227,6 +233,7 @@ def _results(rows: Sequence[Row]) -> list[dict[str, Any]]:
     measured = {
         "payload": _payload,
         "time": _time,
+        "optimum": _optimum,
         "best-known": _best_known,
         "drawn": _drawn,
     }
@@ -300,6 +307,14 @@ def _time(row: Row) -> dict[str, Any]:
     return asdict(times) | {"exchange": not is_shipped, "processor": processor()}
 
 
+def _optimum(row: Row) -> dict[str, Any]:
+    """The result of :func:`cablebot_gym.bounds.optimum.find_optimum`."""
+    from cablebot_gym.bounds.optimum import find_optimum
+
+    result = find_optimum(row.conditions.env_id, **row.conditions.keywords())
+    return {"payload": result.payload, "meshes": result.meshes}
+
+
 def _best_known(row: Row) -> dict[str, Any]:
     """The result of :func:`cablebot_gym.bounds.best_known.find_best_known`."""
     from cablebot_gym.bounds.best_known import find_best_known
@@ -309,8 +324,8 @@ def _best_known(row: Row) -> dict[str, Any]:
 
 
 def _drawn(row: Row) -> dict[str, Any]:
-    """The payload of a random robot and its ratio to the nominal one, for which the best known payload
-    is taken from the disk cache of this machine, or computed first."""
+    """The payload of a random robot and its ratio to the nominal one, whose optimum is taken from the
+    disk cache of this machine, or computed first."""
     from cablebot_gym.bounds.drawn import find_drawn_payload
 
     keywords = {"seed": row.conditions.seed} | row.conditions.keywords()

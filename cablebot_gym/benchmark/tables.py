@@ -10,10 +10,7 @@ from cablebot_gym.benchmark import scores
 from cablebot_gym.benchmark.policy_source import shipped_entry
 from cablebot_gym.benchmark.rows import Row
 from cablebot_gym.benchmark.yardstick import PROBABILITY, yardsticks
-from cablebot_gym.bounds.robot_check import check_motion, two_digits
 from cablebot_gym.evaluation.conditions import Conditions
-from cablebot_gym.evaluation.judge import Violation
-from cablebot_gym.robots import KIND_TEXTS, find_robot
 
 
 def heading(column: Conditions) -> str:
@@ -30,7 +27,7 @@ def heading(column: Conditions) -> str:
     text = ", ".join(words)
     has_fraction = column.uncertainty is None or scores.is_main(column)
     if column.criterion == "paper" or not has_fraction:
-        text += " [kg]"  # there is no fraction of the best known payload
+        text += " [kg]"  # there is no fraction of the optimum
     return text
 
 
@@ -124,41 +121,6 @@ def leaderboard_rows(leaderboard: scores.Leaderboard) -> list[list[str]]:
     return rows
 
 
-def error_title(table: scores.ErrorTable) -> str:
-    """Title of an error table."""
-    given = table.conditions
-    motion = motion_title(given.trajectory["name"])
-    errors = f"errors of {given.uncertainty} one at a time"
-    return f"{given.env_id}, {motion}, {given.payload_model}: {errors}"
-
-
-def error_rows(table: scores.ErrorTable) -> list[list[str]]:
-    """Head and rows of an error table: payloads [kg], and what is lost against the exactly known
-    robot."""
-    rows = [["payload [kg] with", *table.policies]]
-    for index, error in enumerate(table.errors):
-        cells = []
-        for entries in table.policies.values():
-            score = entries[index]
-            exact = entries[0]
-            text = "–" if score is None else _payload(score)
-            if score is not exact and score and score.payload and exact and exact.payload:
-                text += f", {score.payload / exact.payload - 1:+.0%}"
-            cells.append(text)
-        rows.append([error.replace("_", " "), *cells])
-    return rows
-
-
-def _payload(score: scores.Score) -> str:
-    """Payload with more digits than ``payload_text``."""
-    if score.row.error is not None:
-        return "error"
-    if score.payload is None:
-        return score.payload_text
-    digits = f"{float(f'{score.payload:.4g}'):g}"  # without an exponent for tonnes
-    return f"≥ {digits}" if score.result.get("scan_ended") else digits
-
-
 def task_title(row: Row) -> str:
     """The motion of a row."""
     if row.family:
@@ -166,72 +128,41 @@ def task_title(row: Row) -> str:
     return row.motion
 
 
-def library_rows(rows: Sequence[Row]) -> list[list[list[str]]]:
-    """Head and rows of the tables of robots with their own motions: rigid robots, then those with
-    elastic cables. Payloads have two digits, because values of the robots are assumed; those of
-    policies are fractions of exact tracking."""
-    groups: dict[tuple[bool, str], list[scores.Score]] = {}
-    for score in scores.scores(rows):
-        given = score.conditions
-        if given.robot is not None:
-            key = given.nominal_robot.flexible, given.robot
-            groups.setdefault(key, []).append(score)
-    tables: dict[bool, list[list[str]]] = {}
-    for (flexible, name), group in groups.items():
-        robot = find_robot(name)  # a stored robot has no ranges
-        motion = check_motion(robot)
-        exact = motion.limit.largest
-        head = ["robot", "platform", "cables", "exact tracking [kg]"]
-        row = [f"`{name}`", KIND_TEXTS[robot.kind], str(robot.cables), two_digits(exact)]
-        if motion.payload_range is not None and not flexible:
-            head.append("over its ranges [kg]")
-            row.append(two_digits(*motion.payload_range))
-        for score in group:
-            head.append(score.row.policy)
-            row.append(_share(score, exact))
-        head.append("limiting violation of the best")
-        best = max(group, key=lambda score: score.payload or 0.0)
-        violation = best.result.get("violation")
-        row.append("–" if violation is None else str(Violation.from_dict(violation)))
-        tables.setdefault(flexible, [head]).append(row)
-    return [rows for _, rows in sorted(tables.items())]
-
-
-def _share(score: scores.Score, payload: float) -> str:
-    """Payload of a score as a fraction of another one."""
-    if score.payload is None:
-        return _payload(score)
-    return f"{score.payload / payload:.0%}"
-
-
 def best_known_text(row: Row) -> str:
     """One line about a best known payload."""
     title = f"{row.conditions.env_id}, {task_title(row)}"
-    payload = scores.verified_payload(row)
-    if payload is None:
+    if not row.result.get("verified"):
         reason = row.error or "the replay does not verify the result of the search"
         return f"{title}: none: {reason}"
-    return f"{title}: {payload:.3f} kg"
+    return f"{title}: {row.result['payload']:.3f} kg"
 
 
 def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
-    """Head and rows of the table of the yardsticks under uncertainty."""
+    """Head and rows of the table of the yardsticks: that under uncertainty, and the best known payload
+    of each motion that has one, as a fraction of its optimum."""
     quantile = f"{PROBABILITY:.0%} quantile"
-    lines = [["environment", "uncertainty", "robots", quantile, "mean", "without a motion"]]
-    for (env_id, uncertainty), stick in yardsticks(rows).items():
+    lines = [["environment", "robots", quantile, "mean", "without a motion", "best known payloads"]]
+    optima = scores.optima(rows)
+    verified: dict[str, list[str]] = {}
+    for key, row in scores.rows_of(rows, "best-known").items():
+        if key in optima and row.result.get("verified"):
+            share = f"{row.result['payload'] / optima[key]:.1%}"
+            verified.setdefault(row.conditions.env_id, []).append(share)
+    for (env_id, _), stick in yardsticks(rows).items():
         quantile = f"{stick.quantile:.1%} [{stick.low:.1%}, {stick.high:.1%}]"
         robots = str(stick.draws + stick.missing)
+        shares = ", ".join(verified.get(env_id, ["–"]))
         mean = f"{stick.mean:.1%}"
-        lines.append([env_id, uncertainty, robots, quantile, mean, str(stick.missing)])
+        lines.append([env_id, robots, quantile, mean, str(stick.missing), shares])
     return lines
 
 
 def failures(rows: Sequence[Row]) -> list[str]:
-    """One sentence per distinct error of a policy, or of a search for the best known payload."""
+    """One sentence per distinct error of a policy, or of a search for what a motion allows."""
     sentences = []
     for row in rows:
         if row.error is not None and row.measure != "drawn":
-            name = row.policy or "the best known payload"
+            name = row.policy or f"the search ({row.measure})"
             sentences.append(f"{name} failed on {row.conditions.env_id}: {row.error}")
     return list(dict.fromkeys(sentences))
 
@@ -239,20 +170,21 @@ def failures(rows: Sequence[Row]) -> list[str]:
 def left_out(rows: Sequence[Row]) -> list[str]:
     """One sentence per held-out motion that counts for no policy."""
     sentences = []
-    for row in scores.best_known_rows(rows).values():
-        if row.family and scores.verified_payload(row) is None:
+    optima = scores.optima(rows)
+    for key, row in scores.rows_of(rows, "optimum").items():
+        if row.family and key not in optima:
             sentences.append(
-                f"{task_title(row)} counts for no policy on {row.conditions.env_id}: "
-                "no best known payload was verified"
+                f"{task_title(row)} counts for no policy on {row.conditions.env_id}: it has no optimum"
             )
     return sentences
 
 
 def due(rows: Sequence[Row]) -> list[str]:
-    """One sentence per policy, or best known payloads, with rows that other code has computed."""
+    """One sentence per policy, or per measure without policy, with rows that other code has
+    computed."""
     counts: dict[str, list[bool]] = {}
     for row in rows:
-        counts.setdefault(row.policy or "best known payloads", []).append(row.is_due)
+        counts.setdefault(row.policy or row.measure, []).append(row.is_due)
     sentences = []
     for name, is_due in counts.items():
         if any(is_due):

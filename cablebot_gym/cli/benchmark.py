@@ -177,18 +177,11 @@ def _due(out: Path, backend: Backend, command: str) -> list[Results]:
 
 def _policies(selection: RowOptions) -> dict[str, tuple[str, ...]]:
     """Names of the policies by environment."""
-    from cablebot_gym.benchmark.suites import (
-        check_evaluated,
-        find_env_ids,
-        find_policies,
-        find_suite,
-    )
+    from cablebot_gym.benchmark.suites import find_env_ids, find_policies, find_suite
 
     suite = find_suite(selection.suite)
     env_ids = find_env_ids(suite, split_names(selection.ids))
-    policies = find_policies(split_names(selection.policies), env_ids)
-    check_evaluated(suite, policies)
-    return policies
+    return find_policies(split_names(selection.policies), env_ids)
 
 
 def _write_page(results: Results, out: Path) -> bool:

@@ -28,7 +28,6 @@ from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.judge import Verdict, Violation
 from cablebot_gym.evaluation.motion_search import (
     REFINED_POINTS,
-    SCAN_POINTS,
     MotionSearch,
     SearchPlan,
     find_brackets,
@@ -42,9 +41,8 @@ from cablebot_gym.utils.checks import number, whole
 ROBOTS = 19
 """Default number of random robots of each motion."""
 
-SCAN_POINTS_OF_ROBOTS = 16
-"""Number of payloads of the scan of each motion with several robots, including both ends. With one
-robot it is :data:`~cablebot_gym.evaluation.motion_search.SCAN_POINTS`."""
+SURVEY_POINTS = 16
+"""Number of payloads of the scan of each motion, including both ends."""
 
 SCAN_ROBOTS = 3
 """Largest number of robots of each motion in the scan."""
@@ -197,14 +195,12 @@ def _searches(
         end = default_payload_max(conditions.nominal_robot, task.trajectory, conditions.bounds)
         robot_seeds = tuple(draw_seeds(seed, robots))
         scan_seeds = robot_seeds
-        points = SCAN_POINTS
         refined_points = REFINED_POINTS
         if robots > 1:
-            points = SCAN_POINTS_OF_ROBOTS
             refined_points = 1
             scan_seeds = robot_seeds[:SCAN_ROBOTS]
         plan = SearchPlan(
-            points=points,
+            points=SURVEY_POINTS,
             scan_seeds=scan_seeds,
             seeds=robot_seeds,
             required=robots,

@@ -89,15 +89,12 @@ def page_data(
     indices = {}
     for score in shown_scores(merged):
         indices[score.row.key] = cells.add_score(score)
-    references = list(scores.best_known_rows(merged).values())
     boards = scores.leaderboards(merged)
     rows = []
-    last_boards = {board.env_id: board for board in boards}
     for board in boards:
         for policy, column in board.entries:
             rows.append(_row(board, policy, column, indices))
-        if board is last_boards[board.env_id]:
-            rows += _best_known_rows(board, references, cells)
+        rows += _best_known_rows(board, merged, cells)
     return {
         "rows": rows,
         "cells": cells.cells,
@@ -186,37 +183,28 @@ def _row(
 
 
 def _best_known_rows(
-    board: scores.Leaderboard, references: Sequence[Row], cells: _Cells
+    board: scores.Leaderboard, rows: Sequence[Row], cells: _Cells
 ) -> list[dict[str, Any]]:
-    """The rows of the best known payloads of a leaderboard, one for each motion; they are added to
-    ``cells``."""
-    groups: dict[str, list[Row]] = {}
-    for reference in references:
-        if reference.conditions.env_id == board.env_id:
-            groups.setdefault(reference.motion, []).append(reference)
+    """The rows of the best known payloads of a leaderboard; they are added to ``cells``."""
     columns: dict[str, Conditions] = {}
     for column in board.columns:
         columns.setdefault(column.trajectory["name"], column)
-    rows = []
-    for motion, column in columns.items():
-        if motion not in groups:
+    optima = scores.optima(rows)
+    shown = []
+    for key, reference in scores.rows_of(rows, "best-known").items():
+        if reference.conditions.env_id != board.env_id or reference.motion not in columns:
             continue
-        indices: list[int] = []
-        payloads = []
-        for reference in groups[motion]:
-            facts = [["Best known payload", best_known_text(reference)]]
-            if len(indices) < SHOWN_MOTIONS:
-                indices.append(cells.add(reference, BEST_KNOWN, facts))
-            payload = scores.verified_payload(reference)
-            if payload is not None:
-                payloads.append(payload)
-        row = _conditions(board, BEST_KNOWN, column)
-        row |= {"payload_text": "none", "payload": None, "fraction": None, "cells": indices}
-        if len(payloads) == len(groups[motion]):
-            payload = median(payloads)
-            row |= {"payload_text": f"{payload:.2f}", "payload": payload, "fraction": 1.0}
-        rows.append(row)
-    return rows
+        facts = [["Best known payload", best_known_text(reference)]]
+        row = _conditions(board, BEST_KNOWN, columns[reference.motion])
+        row["cells"] = [cells.add(reference, BEST_KNOWN, facts)]
+        row |= {"payload_text": "none", "payload": None, "fraction": None}
+        if reference.result.get("verified"):
+            payload = reference.result["payload"]
+            row |= {"payload_text": f"{payload:.2f}", "payload": payload}
+            if key in optima:
+                row["fraction"] = payload / optima[key]
+        shown.append(row)
+    return shown
 
 
 def _conditions(board: scores.Leaderboard, policy: str, column: Conditions) -> dict[str, Any]:
@@ -283,8 +271,8 @@ def _facts(score: scores.Score) -> list[list[str]]:
         failures = result["failures"].items()
         counts = ", ".join(f"{LIMIT_NAMES[kind]}: {count}" for kind, count in failures)
         facts.append(["Violations of the draws at a larger payload", counts])
-    if score.best_known is not None:
-        facts.append(["Best known payload", f"{score.best_known:.3f} kg"])
+    if score.optimum is not None:
+        facts.append(["Optimum of the motion", f"{score.optimum:.3f} kg"])
     return facts
 
 
@@ -332,7 +320,7 @@ def _motion(conditions: Conditions) -> dict[str, Any]:
 def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Titles and lines of the notes below the tables."""
     commands = [f"suite {source.suite}: {source.command}" for source in sources]
-    references = list(map(best_known_text, scores.best_known_rows(rows).values()))
+    references = list(map(best_known_text, scores.rows_of(rows, "best-known").values()))
     notes = [
         {"title": "Commands", "lines": commands},
         {"title": "Best known payloads", "lines": references or ["none in these results"]},
@@ -359,10 +347,7 @@ def replay_queries(rows: Sequence[Row]) -> dict[str, Row]:
     for score in shown_scores(rows):
         if score.row.error is None and score.applicable:
             queries[score.row.key] = score.row
-    motions: dict[tuple[str, str], int] = {}
-    for row in scores.best_known_rows(rows).values():
-        family = (row.conditions.env_id, row.motion)
-        motions[family] = motions.get(family, 0) + 1
-        if motions[family] <= SHOWN_MOTIONS and row.error is None:
+    for row in scores.rows_of(rows, "best-known").values():
+        if row.error is None:
             queries[row.key] = row
     return queries

@@ -36,7 +36,7 @@ def page(entry: PolicyEntry) -> str:
             [kind, ", ".join(f"`{env_id}`" for env_id in entry.env_ids), options, needs],
         ]
     )
-    text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the best known payload, task "
+    text += f"\n```sh\n{commands}```\n\n## Payload\n\nPayload [kg] and its fraction of the optimum, task "
     text += f"criterion unless noted, from the [leaderboard](/leaderboard.md).\n\n{payloads(entry.name)}\n"
     text += "## How it works\n\n"
     if entry.kind == "learned":

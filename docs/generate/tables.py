@@ -8,7 +8,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from cablebot_gym.benchmark.scores import best_known_rows
+from cablebot_gym.benchmark.scores import rows_of
 from cablebot_gym.benchmark.tables import due, markdown_table
 from cablebot_gym.cli.app import add_commands, app, command_points
 from cablebot_gym.cli.listing import tables
@@ -56,7 +56,7 @@ def replays() -> str:
         ]
     ]
     kinds = defaultdict(list)
-    for best in best_known_rows(ranked().rows).values():
+    for best in rows_of(ranked().rows, "best-known").values():
         kinds[best.conditions.env_id, best.motion].append(best.result)
     for (env_id, motion), results in kinds.items():
         payloads = [result["payload"] for result in results]

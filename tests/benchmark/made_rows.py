@@ -31,10 +31,15 @@ def answered(row, final=True, **result):
     )
 
 
-def best(payload, motion=CIRCLE, env_id=PLANAR, **more):
-    """A verified best known payload."""
-    result = {"payload": payload, "total_mass": payload + 1.0, "verified": True, **more}
-    return answered(asked("best-known", motion=motion, env_id=env_id), **result)
+def optimum(payload, motion=CIRCLE, env_id=PLANAR):
+    """The optimum of a motion; None if the search found none."""
+    result = {"error": "no motion"} if payload is None else {"payload": payload}
+    return answered(asked("optimum", motion=motion, env_id=env_id), **result)
+
+
+def verified(payload, motion=CIRCLE):
+    """The best known payload of a motion."""
+    return answered(asked("best-known", motion=motion), payload=payload, verified=True)
 
 
 def carries(policy, payload, motion=CIRCLE, more=None, **conditions):

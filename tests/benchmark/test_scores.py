@@ -4,13 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmark.made_rows import CIRCLE, PLANAR, answered, asked, best, carries, drawn, fails
+from benchmark.made_rows import (
+    PLANAR,
+    answered,
+    asked,
+    carries,
+    drawn,
+    fails,
+    optimum,
+    verified,
+)
 
 from cablebot_gym.benchmark.leaderboard import markdown, origins_text
 from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
-from cablebot_gym.benchmark.scores import error_tables, leaderboards, scores
+from cablebot_gym.benchmark.scores import leaderboards, scores
 from cablebot_gym.benchmark.store import Results
-from cablebot_gym.benchmark.tables import error_rows
 
 LOOPS = [{"name": "loop-planar", "seed": 10_000 + number} for number in range(RANKED_MOTIONS)]
 
@@ -33,10 +41,10 @@ def score_values(records):
     return [score.score for score in scores(records)]
 
 
-def test_score_is_the_fraction_of_the_best_known_payload():
+def test_score_is_the_fraction_of_the_optimum():
     records = [
-        best(2.0),
-        best(8.0, LOOPS[0]),
+        optimum(2.0),
+        optimum(8.0, LOOPS[0]),
         carries("fl", 1.0),
         carries("fl", 2.0, LOOPS[0]),
         carries("fl", None, payload_known=False),
@@ -49,24 +57,22 @@ def test_score_is_the_fraction_of_the_best_known_payload():
 
 
 def test_error_of_a_policy_counts_as_zero():
-    assert score_values([best(2.0), fails("bad"), fails("lost", "no memory", final=False)]) == [
+    assert score_values([optimum(2.0), fails("bad"), fails("lost", "no memory", final=False)]) == [
         0.0,
         None,
     ]
 
 
-@pytest.mark.parametrize("outcome", [{"error": "no solver"}, {"payload": 2.0, "verified": False}])
-def test_score_needs_a_best_known_payload(outcome):
-    failed = answered(asked("best-known", motion=CIRCLE), **outcome)
-    assert score_values([failed, carries("fl", 1.0)]) == [None]
+def test_score_needs_an_optimum():
+    assert score_values([optimum(None), verified(2.0), carries("fl", 1.0)]) == [None]
 
 
 # --- several motions --------------------------------------------------------------------------------------------------
 
 
 def family(policies, count=RANKED_MOTIONS):
-    """Best known payloads of 1 kg and payloads of policies on motions, given as arrays."""
-    records = [best(1.0, motion) for motion in LOOPS[:count]]
+    """Optima of 1 kg and payloads of policies on motions, given as arrays."""
+    records = [optimum(1.0, motion) for motion in LOOPS[:count]]
     for policy, values in policies.items():
         for motion, payload in zip(LOOPS, values, strict=False):
             records.append(carries(policy, payload, motion))
@@ -94,12 +100,12 @@ def test_ranks_need_enough_motions():
     assert leaderboards(some)[0].ranks == {"a": 1, "b": 2}  # compared on the motions of both
 
 
-def test_motion_counts_only_with_a_best_known_payload():
+def test_motion_counts_only_with_an_optimum():
     """One failed search once removed all ranks."""
     values = np.full(RANKED_MOTIONS, 0.5)
     values[0] = 0.9
     records = family({"a": values, "b": 1 - values})
-    records[0] = replace(records[0], result={"payload": 1.0, "verified": False})
+    records[0] = optimum(None, LOOPS[0])
     (board,) = leaderboards(records)
     assert board.ranks == {"a": 1, "b": 1}
     assert board.fraction("a", board.columns[0]).mean == pytest.approx(0.5)
@@ -124,50 +130,30 @@ def test_fractions_of_the_main_table_need_the_yardstick():
     assert board.fraction("a", board.columns[0]) is None
 
 
-def test_survey_under_uncertainty_is_the_main_table():
+def test_survey_under_uncertainty_ranks():
     unknown = {"payload_known": False, "uncertainty": "hardware", "draws": 19}
     records = [
         *family({}),
+        verified(0.99, LOOPS[0]),
         *[drawn(motion, 0.8) for motion in LOOPS],
         *surveyed("a", [0.5, *[0.7] * 19], **unknown),
         *surveyed("b", [None, *[0.1] * 19], **unknown),
         *surveyed("b", [0.9] * 20),
+        *surveyed("c", [0.6] * 20),
+        *surveyed("d", [0.8] * 20),
     ]
-    main, second = leaderboards(records)
-    assert main.ranks == {"a": 1, "b": 2}
-    assert main.fraction("a", main.columns[0]).mean == pytest.approx(0.69 / 0.8)
-    assert main.fraction("b", main.columns[0]).worst == 0.0
-    assert (main.is_main, second.is_main, second.policies) == (True, False, ("b",))
+    (board,) = leaderboards(records)
+    main, exact = board.columns
+    assert board.ranks == {"a": 1, "b": 2}
+    assert board.policies == ("a", "b", "d", "c")  # those without rank by the next column
+    assert board.fraction("a", main).mean == pytest.approx(0.69 / 0.8)
+    assert board.fraction("b", main).worst == 0.0
+    assert board.fraction("b", exact).mean == pytest.approx(0.9)
     page = page_of(records)
-    assert page.index("19 random robots carry") < page.index(f"{PLANAR}, exactly known")
-    assert f"| {PLANAR} | hardware | 20 | 80.0% [0.0%, 80.0%] | 80.0% | 0 |" in page
+    assert "that 19 random robots carry (`hardware`)" in page
+    assert f"| {PLANAR} | 20 | 80.0% [0.0%, 80.0%] | 80.0% | 0 | 99.0% |" in page
     read = Results.from_text(Results(suite="smoke", command="", rows=records).to_text())
     assert page_of(read.rows) == page
-
-
-def test_error_table_compares_each_error_with_the_exactly_known_robot():
-    """It is not a column of the leaderboard, which would be as wide as there are errors."""
-    unknown = {"payload_known": False}
-    drawn = {"draws": 128, **unknown}
-    records = [
-        carries("fl", 4.0, **unknown),
-        carries("fl", 3.0, uncertainty="hardware:delay", **drawn),
-        carries("fl", None, uncertainty="hardware:wrench", **drawn),
-        carries("fl", 1.0, uncertainty="hardware", **drawn),
-        carries("nmpc", 5.0, uncertainty="hardware:delay", **drawn),
-        carries("fl", 4.5),  # with a known payload: another table
-    ]
-    (table,) = error_tables(records)
-    assert error_rows(table) == [
-        ["payload [kg] with", "fl", "nmpc"],
-        ["no error", "4", "–"],
-        ["delay", "3, -25%", "5"],
-        ["wrench", "fails unloaded", "–"],
-        ["all errors together", "1, -75%", "–"],
-    ]
-    columns = {column.uncertainty for board in leaderboards(records) for column in board.columns}
-    assert columns == {None, "hardware"}
-    assert "| delay | 3, -25% | 5 |" in page_of(records)
 
 
 def test_error_on_one_motion_counts_as_zero_and_is_named():
@@ -192,7 +178,7 @@ TIMING = {
     "exchange": False,
 }
 ALL = [
-    best(2.0),
+    optimum(2.0),
     carries("fl", 1.0, more={"fallbacks": None, "violation": {"kind": "torque", "index": 2}}),
     carries("trajopt", 2.5, more={"fallbacks": 0.5}),
     carries("limp", None),
@@ -233,7 +219,7 @@ def test_page_names_the_policies_of_each_set_of_versions():
     earlier = {"python": "3.11", "rows": "of board 1"}
     later = {"python": "3.11", "rows": "after board 1"}
     records = [
-        replace(best(2.0), versions=earlier),
+        replace(optimum(2.0), versions=earlier),
         *(replace(old, versions=earlier) for old in family({"fl": [0.5] * 20})),
         replace(carries("robust", 1.0), versions=later),
     ]

@@ -2,7 +2,6 @@
 
 import hashlib
 import sys
-from dataclasses import replace
 
 import pytest
 from benchmark.made_rows import PLANAR
@@ -11,7 +10,6 @@ from oracles.episodes import ROBOTS
 from cablebot_gym.benchmark.policy_source import policy_source
 from cablebot_gym.benchmark.seeds import evaluation_seed, hidden_seeds
 from cablebot_gym.benchmark.suites import (
-    QUICK_ENV_IDS,
     SUITES,
     Override,
     Suite,
@@ -44,28 +42,23 @@ def payload_rows(name, names=()):
     "name", [pytest.param(name, marks=pytest.mark.landing) for name in sorted(SUITES)]
 )
 def test_rows_of_a_suite_are_valid(name):
-    suite = find_suite(name)
-    named = {env_id for override in suite.overrides for env_id in override.env_ids}
     motions = {}
-    with_best_known = set()
+    optima = set()
     with_score = set()
     draws = set()
     for row in rows_of(name):
         given = row.conditions
-        motions[given.env_id, given.robot, row.motion] = given
-        if row.measure == "best-known":
-            with_best_known.add(row.motion_key)
+        motions[given.env_id, row.motion] = given
+        if row.measure == "optimum":
+            optima.add(row.motion_key)
         elif row.measure == "payload":
-            assert given.env_id in {*policy_entries()[row.policy].env_ids, *named}
+            assert given.env_id in policy_entries()[row.policy].env_ids
             draws.add((given.env_id, given.uncertainty, given.draws))
             if given.criterion == "task" and given.uncertainty is None:
                 with_score.add(row.motion_key)
     for given in motions.values():
         assert given.motion.duration > 0
-    if name == "ranked":  # the yardstick has more motions than a policy
-        assert with_score < with_best_known
-    else:
-        assert with_best_known == (with_score if suite.best_known else set())
+    assert optima == with_score
     for env_id, uncertainty, count in draws:
         assert find_uncertainty(uncertainty, ROBOTS[env_id]).random == (count is not None)
 
@@ -80,41 +73,21 @@ def test_ranked_suite_has_every_policy_on_the_first_hidden_motions():
         asked = [row for row in rows if row.measure == measure]
         assert {(row.conditions.env_id, row.policy) for row in asked} == policies
     for env_id in env_ids:
-        seeds = hidden_seeds(TEXT, env_id, 100)
-        found = {"payload": [], "best-known": []}
+        found = {"payload": [], "optimum": [], "best-known": [], "drawn": []}
         for row in rows:
             if row.conditions.env_id == env_id and row.family and row.measure in found:
                 found[row.measure].append(row.conditions.trajectory["seed"])
-        assert set(found["payload"]) == set(seeds[:20])
-        expected = seeds if env_id in QUICK_ENV_IDS else seeds[:20]
-        assert found["best-known"] == expected
+        seeds = hidden_seeds(TEXT, env_id, 20)
+        assert set(found["payload"]) == set(found["drawn"]) == set(seeds)
+        assert found["optimum"] == seeds
+        assert found["best-known"] == seeds[:1]
 
 
-def test_slow_policy_is_evaluated_in_marked_rows_only(monkeypatch):
-    entries = policy_entries()
-    assert [name for name, entry in entries.items() if entry.slow] == ["nmpc"]
-    slow = {"fl": replace(entries["fl"], slow=True)}
-    monkeypatch.setattr("cablebot_gym.benchmark.suites.shipped_entry", slow.get)
+def test_laws_for_known_robots_have_no_rows_of_others():
     conditions = {
         (row.conditions.uncertainty, row.motion[:4]) for row in payload_rows("ranked", ["fl"])
     }
-    assert conditions == {("hardware", "loop"), (None, "loop"), (None, "circ")}
-    assert payload_rows("smoke", ["fl"]) == []
-
-
-def test_errors_of_an_uncertainty_have_rows_of_their_own():
-    """A rigid robot has no stiffness. Without error there are no draws."""
-    draws = {}
-    for row in payload_rows("errors", ["fl"]):
-        if row.conditions.env_id == PLANAR:
-            assert not row.conditions.payload_known
-            draws[row.conditions.uncertainty] = row.conditions.draws
-    assert draws.pop(None) is None
-    assert set(draws.values()) == {19}
-    names = ["platform_mass", "payload", "motor_strength", "motor_lag", "coulomb_friction"]
-    names += ["pulley_inertia", "base_anchors", "damping"]
-    names += ["wrench", "sensors", "sensor_bias", "delay"]
-    assert list(draws) == [*(f"hardware:{name}" for name in names), "hardware"]
+    assert conditions == {(None, "loop"), (None, "circ"), (None, "pape")}
 
 
 def test_keyword_of_the_environments_is_an_override():
@@ -127,11 +100,6 @@ def test_keyword_of_the_environments_is_an_override():
     )
     rows = [row for row in suite_rows(suite, {PLANAR: ("fl",)}) if row.policy]
     assert [row.conditions.keywords()["cable"] for row in rows] == ["bilateral"]
-
-
-def test_resolution_of_a_real_robot_follows_from_its_payload_range():
-    (row,) = [row for row in payload_rows("library", ["fl"]) if row.conditions.robot == "cogiro"]
-    assert row.search == {"resolution": 1.5}
 
 
 def test_policies_are_assigned_to_their_environments():
@@ -203,7 +171,6 @@ HIDDEN = Suite(
     summary="",
     env_ids=(PLANAR,),
     overrides=(Override(motion="hidden", motions=20),),
-    best_known=False,
 )
 
 
@@ -222,5 +189,6 @@ def test_hidden_motions_depend_on_text_and_environment():
     assert len({*seeds, *others}) == 60
     assert all(FIRST_HELD_OUT_SEED <= seed < 2**53 for seed in seeds)
     rows = suite_rows(HIDDEN, {PLANAR: ("fl",)}, seed=2**127, seed_text=TEXT)
-    assert [row.conditions.trajectory["seed"] for row in rows] == seeds
-    assert [row.conditions.seed for row in rows] == motion_seeds(2**127, 20)
+    asked = [row for row in rows if row.policy]
+    assert [row.conditions.trajectory["seed"] for row in asked] == seeds
+    assert [row.conditions.seed for row in asked] == motion_seeds(2**127, 20)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmark.made_rows import CIRCLE, PLANAR, best, drawn
+from benchmark.made_rows import CIRCLE, PLANAR, drawn, optimum
 
 from cablebot_gym.benchmark.yardstick import FEWEST, drawn_rows, yardstick, yardsticks
 from cablebot_gym.evaluation.batch import draw_seeds
@@ -31,21 +31,21 @@ def test_ends_are_order_statistics_and_missing_draws_count_as_zero_at_the_low_en
 
 
 def test_robots_are_the_first_that_policies_meet():
-    rows = drawn_rows([best(2.0)], "hardware", seed=5)
+    rows = drawn_rows([optimum(2.0)], "hardware", seed=5)
     (motion_seed,) = motion_seeds(5, 1)
     assert [row.conditions.seed for row in rows] == draw_seeds(motion_seed, FEWEST)
 
 
 def test_rows_are_grouped_by_environment():
-    """A motion without a verified nominal payload counts for no policy, and not for the yardstick."""
+    """A motion without an optimum counts for no policy, and not for the yardstick."""
     rows = [
         drawn(CIRCLE, 0.9),
         drawn(CIRCLE, 0.8),
         replace(drawn(CIRCLE, 0.0), result={"error": "no motion"}),
         drawn(CIRCLE, None, env_id="CableBot-Spatial-v0"),
         drawn(LOOP, 0.1),
-        best(2.0),
-        best(2.0, LOOP, verified=False),
+        optimum(2.0),
+        optimum(None, LOOP),
     ]
     by_environment = yardsticks(rows)
     assert list(by_environment) == [(PLANAR, "hardware")]

@@ -105,7 +105,7 @@ ERRORS = (
     (
         "benchmark --suite huge",
         2,
-        "unknown suite 'huge'; choose one of smoke, ranked, errors, library",
+        "unknown suite 'huge'; choose one of smoke, ranked",
     ),
     ("benchmark --suite ranked --policies fl", 2, "add --seed-text TEXT"),
     ("benchmark --ray auto --workers 1", 2, "--workers and --ray exclude each other"),
