@@ -180,6 +180,11 @@ def canonical(data: Any) -> str:
     )
 
 
+MOTIONS_OF_A_JOB = 10
+"""Largest number of motions whose payloads are computed together: they share batches and the start of
+the policy, and workers share the motions."""
+
+
 def jobs(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
     """The rows in groups that are computed together: payloads of one policy that differ in motion and
     seed alone, on the motions of a family."""
@@ -190,7 +195,11 @@ def jobs(rows: Sequence[Row]) -> list[tuple[Row, ...]]:
             given = replace(row.conditions, trajectory={"name": row.motion}, seed=0)
             key = canonical([row.policy, given.to_dict(), dict(row.search)])
         groups.setdefault(key, []).append(row)
-    return list(map(tuple, groups.values()))
+    split = []
+    for group in groups.values():
+        for start in range(0, len(group), MOTIONS_OF_A_JOB):
+            split.append(tuple(group[start : start + MOTIONS_OF_A_JOB]))
+    return split
 
 
 def compute(rows: Sequence[Row]) -> list[Row]:

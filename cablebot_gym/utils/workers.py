@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
 import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,10 @@ from cablebot_gym.utils.user_code import keep_sentence, sentence_of_user_code
 Task = TypeVar("Task", bound=Callable[[], Any])
 """A computation. For workers it must be picklable: a module-level function or a
 ``functools.partial`` of one."""
+
+MEMORY = 3e9
+"""Memory above which a process ends after its computation, and a new one takes its place [B]: compiled
+code and nonlinear programs stay in a process."""
 
 GRACE = 5.0
 """Longest time from the end of a process's pipe to its own end, on a busy machine too [s]."""
@@ -55,6 +60,7 @@ def run(
     tasks: Mapping[str, Task],
     *,
     workers: int,
+    memory: float = MEMORY,
 ) -> Iterator[tuple[str, Any]]:
     """Yields keys and results in the order of completion, a :class:`WorkerDied` in place of a lost
     one. Other exceptions are raised. Closing the iterator or an interrupt ends the processes.
@@ -63,10 +69,11 @@ def run(
         tasks: computations by key. With ``workers`` = 1 they run one after the other in this
             process.
         workers: number of processes.
+        memory: memory above which a process is replaced [B].
     """
     results = _sequential
     if workers > 1 and tasks:
-        results = _Pool(min(workers, len(tasks))).results
+        results = _Pool(min(workers, len(tasks)), memory).results
     # The loop alone refers to the iterator, which therefore ends the processes at any error.
     for key, failure, result in results(tasks):
         if failure is None:
@@ -99,10 +106,10 @@ def _sequential(tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | No
 class _Worker:
     """A process and its current computation."""
 
-    def __init__(self) -> None:
+    def __init__(self, memory: float) -> None:
         context = multiprocessing.get_context("spawn")  # BLAS threads do not survive a fork
         self.pipe, remote = context.Pipe()
-        self.process = context.Process(target=_serve, args=(remote,), daemon=True)
+        self.process = context.Process(target=_serve, args=(remote, memory), daemon=True)
         self.process.start()
         remote.close()  # the pipe then closes when the process ends
         self.key: str | None = None
@@ -121,8 +128,9 @@ class _Worker:
 class _Pool:
     """Processes that share computations, in their order."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, memory: float) -> None:
         self._size = size
+        self._memory = memory
         self._workers: list[_Worker] = []
 
     def results(self, tasks: Mapping[str, Task]) -> Iterator[tuple[str, Exception | None, Any]]:
@@ -138,7 +146,7 @@ class _Pool:
         try:
             for _ in range(self._size):
                 with _interrupts_deferred():
-                    self._workers.append(_Worker())
+                    self._workers.append(_Worker(self._memory))
                 submit_next(self._workers[-1])
             while True:
                 busy = {worker.pipe: worker for worker in self._workers if worker.key is not None}
@@ -146,29 +154,30 @@ class _Pool:
                     return
                 for worker in [busy[pipe] for pipe in cast(list[Connection], wait(list(busy)))]:
                     key = worker.key or ""
-                    outcome = self._receive(worker)
-                    if isinstance(outcome, WorkerDied):
+                    failure, result, is_full = self._receive(worker)
+                    if is_full:
+                        worker.end()
                         worker = self._replaced(worker)
-                        outcome = (outcome, None)
                     submit_next(worker)  # before the yield: the caller may be slow
-                    yield key, *outcome
+                    yield key, failure, result
         finally:
             for worker in self._workers:
                 worker.end()
 
-    def _receive(self, worker: _Worker) -> tuple[Exception | None, Any] | WorkerDied:
-        """Error and result, or a :class:`WorkerDied` if the process died."""
+    def _receive(self, worker: _Worker) -> tuple[Exception | None, Any, bool]:
+        """Error and result, and whether the process must be replaced. The error is a
+        :class:`WorkerDied` if it died."""
         try:
-            outcome: tuple[Exception | None, Any] = worker.pipe.recv()
+            (failure, result), is_full = worker.pipe.recv(), worker.pipe.recv()
         except (EOFError, OSError):
             worker.process.join(GRACE)  # the pipe closes shortly before the process ends
-            worker.end()
-            return WorkerDied(f"its process died, with exit status {worker.process.exitcode}")
-        return outcome
+            status = worker.process.exitcode
+            return WorkerDied(f"its process died, with exit status {status}"), None, True
+        return failure, result, is_full
 
     def _replaced(self, ended: _Worker) -> _Worker:
         with _interrupts_deferred():
-            new = self._workers[self._workers.index(ended)] = _Worker()
+            new = self._workers[self._workers.index(ended)] = _Worker(self._memory)
         return new
 
 
@@ -187,7 +196,7 @@ def _interrupts_deferred() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _serve(pipe: Connection) -> None:
+def _serve(pipe: Connection, memory: float) -> None:
     """Main loop of a worker: runs one computation after the other until the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(BrokenPipeError):  # the parent process is gone
@@ -200,6 +209,17 @@ def _serve(pipe: Connection) -> None:
             if failure is not None:
                 reply = pickle.dumps((_portable(failure), None))
             pipe.send_bytes(reply)
+            pipe.send(_peak_memory() > memory)
+
+
+def _peak_memory() -> float:
+    """Largest memory of this process so far [B]; 0 where it is unknown."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0
+    unit = 1 if sys.platform == "darwin" else 1024
+    return float(unit * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
 
 
 def _pickled_result(data: bytes) -> bytes:

@@ -84,6 +84,8 @@ def test_motions_of_a_family_are_computed_together_with_robots_of_their_own():
     ]
     others = [FL, asked(policy="robust", motion=motions[0], **given)]
     assert jobs([rows[0], *others, rows[1]]) == [tuple(rows), *((row,) for row in others)]
+    many = [replace(rows[0], conditions=replace(rows[0].conditions, seed=k)) for k in range(25)]
+    assert [len(job) for job in jobs(many)] == [10, 10, 5]  # workers share them
     together = [row.result["payload"] for row in compute(rows)]
     assert together == [result_of(row)["payload"] for row in rows]
 

@@ -96,3 +96,11 @@ def test_interrupt_ends_all_processes(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         results.throw(KeyboardInterrupt())
     assert multiprocessing.active_children() == []
+
+
+@pytest.mark.landing
+def test_full_process_is_replaced():
+    """Compiled code stays in a process; one of 3 GB once took the memory of the others."""
+    tasks = {str(number): partial(os.getpid) for number in range(4)}
+    assert len(set(dict(run(tasks, workers=2, memory=0.0)).values())) == 4
+    assert len(set(dict(run(tasks, workers=2)).values())) <= 2
