@@ -32,7 +32,6 @@ import numpy as np
 
 from cablebot_gym.benchmark.leaderboard import (
     markdown,
-    origins_text,
 )
 from cablebot_gym.benchmark.scores import (
     Leaderboard,
@@ -91,8 +90,7 @@ def readme_table(results: Results) -> str:
     motions = motion_title(column.trajectory["name"], boards[0].motions(column))
     conditions = f"{motions}, {heading(column)}"
     text = "The best policy of each kind: mean fraction of the payload that can be hoped for\n"
-    text += f"({conditions}).\n{origins_text(results.rows).lstrip()}\n"
-    return text + markdown_table(rows)
+    return f"{text}({conditions}).\n\n{markdown_table(rows)}"
 
 
 def _best(board: Leaderboard, policies: Iterable[str], column: Conditions) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
 from importlib.resources import files
 
@@ -22,9 +21,6 @@ from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.yardstick import PROBABILITY
 from cablebot_gym.evaluation import evaluate_dlcc
 
-LINE = 118
-"""Largest length of a line of the page, except for tables."""
-
 _INTRODUCTION = """# Leaderboard
 
 Payload that a policy carries (DLCC) as a fraction of the [optimum](#definitions) of the motion: the mean over motions,
@@ -36,7 +32,7 @@ def markdown(results: Results) -> str:
     """The leaderboard page: a table for each environment, and notes."""
     rows = results.rows
     boards = leaderboards(rows)
-    text = _INTRODUCTION + _main_text(boards) + origins_text(rows)
+    text = _INTRODUCTION + _main_text(boards)
     for board in boards:
         text += f"\n## {board.env_id}\n\n{_table(tables.leaderboard_rows(board))}"
     yardsticks = tables.yardstick_rows(rows)
@@ -67,24 +63,6 @@ The first column ranks policies on robots that are not exactly known. On each mo
 that {robots} random robots carry (`{column.uncertainty}`). A further one carries it with a probability of
 {probability:.0%}. A fraction is that of what a planner can hope for that knows each robot: the yardstick.
 """
-
-
-def origins_text(rows: Sequence[Row]) -> str:
-    """Which policies have rows of which :func:`_versions`; empty if there is only one set."""
-    sets = _versions(rows)
-    if len(sets) == 1:
-        return ""
-    common = _common(sets)
-    sentences = []
-    for versions in sets:
-        policies = set()
-        for row in rows:
-            if row.measure == "payload" and row.versions == versions:
-                policies.add(row.policy)
-        words = [f"{name} {version}" for name, version in versions.items() if name not in common]
-        text = ", ".join(words)
-        sentences.append(f"{text[:1].upper()}{text[1:]}: {_codes(sorted(policies))}.")
-    return f"\n{textwrap.fill(' '.join(sentences), LINE, break_on_hyphens=False)}\n"
 
 
 def _common(sets: Sequence[Mapping[str, str]]) -> dict[str, str]:
@@ -152,10 +130,6 @@ def _versions(rows: Sequence[Row]) -> list[Mapping[str, str]]:
     """The distinct sets of package versions."""
     distinct = {canonical(dict(row.versions)): row.versions for row in rows}
     return list(distinct.values())
-
-
-def _codes(names: Sequence[str]) -> str:
-    return ", ".join(f"`{name}`" for name in names)
 
 
 def _escaped(text: str) -> str:

@@ -1,7 +1,5 @@
 """Scores, ranks, tables and the page against numbers worked out by hand."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from benchmark.made_rows import (
@@ -15,7 +13,7 @@ from benchmark.made_rows import (
     verified,
 )
 
-from cablebot_gym.benchmark.leaderboard import markdown, origins_text
+from cablebot_gym.benchmark.leaderboard import markdown
 from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
 from cablebot_gym.benchmark.scores import leaderboards, scores
 from cablebot_gym.benchmark.store import Results
@@ -212,18 +210,3 @@ def test_page_has_all_results_and_notes():
         "* computing times were measured on: some processor",
     ):
         assert text in page
-
-
-def test_page_names_the_policies_of_each_set_of_versions():
-    """Excludes a table in which rows of two boards look alike."""
-    earlier = {"python": "3.11", "rows": "of board 1"}
-    later = {"python": "3.11", "rows": "after board 1"}
-    records = [
-        replace(optimum(2.0), versions=earlier),
-        *(replace(old, versions=earlier) for old in family({"fl": [0.5] * 20})),
-        replace(carries("robust", 1.0), versions=later),
-    ]
-    text = origins_text(records)
-    assert text == "\nRows of board 1: `fl`. Rows after board 1: `robust`.\n"
-    assert page_of(records).endswith("with python 3.11.\n")
-    assert origins_text(records[:-1]) == ""
