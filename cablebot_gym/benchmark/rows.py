@@ -25,6 +25,7 @@ from cablebot_gym.policies import PolicySpec, load
 from cablebot_gym.robots import ELASTIC, library
 from cablebot_gym.utils.checks import choice, number
 from cablebot_gym.utils.code_hash import source_hash
+from cablebot_gym.utils.files import empty_cache
 from cablebot_gym.utils.foreign import foreign_object
 
 Measure = Literal["payload", "time", "optimum", "best-known", "drawn"]
@@ -305,12 +306,12 @@ def _surveyed(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def _time(row: Row) -> dict[str, Any]:
     """The result of :func:`cablebot_gym.evaluation.timing.time_actions`, and the processor of this
-    machine.
+    machine. No plan is cached.
 
     ``exchange`` marks policies that are not shipped, whose times include the exchange with their
     process.
     """
-    with policy_process(row) as policy:
+    with empty_cache(), policy_process(row) as policy:
         times = time_actions(policy, row.conditions.env_id, **row.conditions.keywords())
     is_shipped = PolicySpec.parse(row.policy).shipped
     return asdict(times) | {"exchange": not is_shipped, "processor": processor()}

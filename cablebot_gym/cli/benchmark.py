@@ -224,13 +224,10 @@ def _compute(rows: Sequence[Row], store: Store, backend: Backend, command: str) 
 def _check(folder: Path, count: int, backend: Backend) -> None:
     """Prints how the results in a folder differ from their suites, and random rows that are computed
     again without plans and payloads of the cache folder."""
-    import os
-    from tempfile import TemporaryDirectory
-
     from cablebot_gym.benchmark.check import compare_rows, recompute
     from cablebot_gym.benchmark.store import read_all
     from cablebot_gym.utils.checks import whole
-    from cablebot_gym.utils.files import CACHE_VARIABLE
+    from cablebot_gym.utils.files import empty_cache
 
     boards = read_all(folder)
     count = whole("--check", count, least=1)
@@ -244,8 +241,7 @@ def _check(folder: Path, count: int, backend: Backend) -> None:
         missing += len(difference.missing)
         unexpected += len(difference.unexpected)
     rows = [row for results in boards for row in results.rows]
-    with progress("computing", "rows") as step, TemporaryDirectory() as cache:
-        os.environ[CACHE_VARIABLE] = cache
+    with progress("computing", "rows") as step, empty_cache():
         for finished, again in enumerate(recompute(rows, count, backend), 1):
             print(again)
             different += not again.is_equal

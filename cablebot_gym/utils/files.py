@@ -8,7 +8,8 @@ import json
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,6 +21,20 @@ CACHE_VARIABLE = "CABLEBOT_CACHE"
 _LOGGER = logging.getLogger("cablebot_gym")
 
 _Value = TypeVar("_Value")
+
+
+@contextmanager
+def empty_cache() -> Iterator[None]:
+    """A new cache folder within the context, for this process and those that it starts."""
+    before = os.environ.get(CACHE_VARIABLE)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ[CACHE_VARIABLE] = folder
+        try:
+            yield
+        finally:
+            del os.environ[CACHE_VARIABLE]
+            if before is not None:
+                os.environ[CACHE_VARIABLE] = before
 
 
 def cache_folder() -> Path:
