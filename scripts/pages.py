@@ -233,7 +233,9 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
     spatial = next(board for board in boards if board.env_id == "CableBot-Spatial-v0")
     column = spatial.columns[0]
     best = spatial.policies[0]
-    fractions = {"best": best, "adaptive": "adaptive", "learned": "refined-plan"}
+    entries = policy_entries()
+    learned = next(name for name in spatial.policies if entries[name].kind == "learned")
+    fractions = {"best": best, "adaptive": "adaptive", "learned": learned}
     texts = {}
     for name, policy in fractions.items():
         fraction = spatial.fraction(policy, column)

@@ -183,8 +183,7 @@ def _open_channels(
                 real_time=options.real_time,
                 start_pose=start_pose(robot, motion, bounds).tolist(),
                 payload=payload,
-                control_frequency=conditions.control_frequency
-                or robot.defaults.control_frequency,
+                control_frequency=conditions.control_frequency or robot.defaults.control_frequency,
                 faults=[Fault.parse(text) for text in options.fault or []],
             )
             addresses = stack.enter_context(boards)
