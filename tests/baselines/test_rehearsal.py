@@ -142,7 +142,7 @@ def test_exceeded_limits_get_larger_margins_at_their_times():
 
 
 @pytest.mark.landing
-def test_plans_do_not_depend_on_their_company():
+def test_motion_rehearsed_beside_a_longer_one_has_the_same_plan():
     """A longer motion beside it once would have rehearsed a motion beyond its end."""
     searches = []
     for duration in (0.4, 0.7):

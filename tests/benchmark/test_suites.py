@@ -83,7 +83,7 @@ def test_ranked_suite_has_every_policy_on_the_first_hidden_motions():
         assert found["best-known"] == seeds[:1]
 
 
-def test_laws_for_known_robots_have_no_rows_of_others():
+def test_law_for_known_robots_meets_exactly_known_ones_only():
     conditions = {
         (row.conditions.uncertainty, row.motion[:4]) for row in payload_rows("ranked", ["fl"])
     }

@@ -157,9 +157,9 @@ class NonlinearMPC(ObserverLaw):
         the plans for the next step."""
         planner = self._advanced(memory, instant.starts)
         phase = planner.step % STEPS_PER_PLAN
-        due = np.flatnonzero(phase == 0)
-        if len(due):
-            planner = self._replanned(instant, planner, due)
+        is_due = phase == 0
+        if is_due.any():
+            planner = self._replanned(instant, planner, is_due)
         planner = self._prepared(instant, planner, phase)
         is_planned = has_plan(planner.plan)
         planned, _ = super().reference(instant, memory)
@@ -193,40 +193,34 @@ class NonlinearMPC(ObserverLaw):
             pending=_without(planner.pending, starts),
         )
 
-    def _replanned(self, instant: Instant, planner: PlannerState, due: _Rows) -> PlannerState:
+    def _replanned(
+        self, instant: Instant, planner: PlannerState, is_due: NDArray[np.bool_]
+    ) -> PlannerState:
         """The state with new plans of the environments that are due."""
         plan, age = planner.plan.copy(), planner.age.copy()
-        out_of_range = planner.out_of_range.copy()
-        obstructed = due[self._is_obstructed(instant.blocks, due)]
+        obstructed = is_due & self._is_obstructed(instant.blocks)
+        newly_obstructed = obstructed & ~planner.out_of_range
         self._count_fallbacks(
-            int(np.sum(~out_of_range[obstructed])), "the platform is too far from its reference"
+            int(newly_obstructed.sum()), "the platform is too far from its reference"
         )
         plan[obstructed] = np.nan
-        out_of_range[due] = False
-        out_of_range[obstructed] = True
         pose, velocity = instant.ahead["pose"], instant.ahead["velocity"]
-        without_part = ~out_of_range
-        without_part[np.setdiff1d(np.arange(len(plan)), due)] = False
-        for rows, part in _without(planner.pending, out_of_range):
-            if isinstance(part, Program) and np.isin(rows, due).all():
-                without_part[rows] = False
-                self._keep(rows, *self.program.solved(part, pose[rows], velocity[rows]), plan, age)
-        missing = without_part & ~has_plan(plan)
+        missing = is_due & ~obstructed
+        for rows, part in _without(planner.pending, ~missing):
+            assert isinstance(part, Program)  # it was assembled one step before
+            missing[rows] = False
+            self._keep(rows, *self.program.solved(part, pose[rows], velocity[rows]), plan, age)
+        missing &= ~has_plan(plan)
         for rows in self._together(np.flatnonzero(missing)):
-            made = self.program.plan(
-                pose[rows],
-                velocity[rows],
-                self._target(instant, rows, 0.0),
-                robots=_expected(instant, rows),
-            )
+            target = self._target(instant, rows, 0.0)
+            robots = _expected(instant, rows)
+            made = self.program.plan(pose[rows], velocity[rows], target, robots=robots)
             self._keep(rows, *made, plan, age)
-        is_due = np.zeros(len(plan), np.bool_)
-        is_due[due] = True
         return replace(
             planner,
             plan=plan,
             age=age,
-            out_of_range=out_of_range,
+            out_of_range=np.where(is_due, obstructed, planner.out_of_range),
             pending=_without(planner.pending, is_due),
         )
 
@@ -283,13 +277,13 @@ class NonlinearMPC(ObserverLaw):
             error_bounds=self._tasks[rows[0]].error_bounds,
         )
 
-    def _is_obstructed(self, blocks: dict[str, Array], rows: _Rows) -> NDArray[np.bool_]:
-        """Whether platforms are too far from their references to plan."""
+    def _is_obstructed(self, blocks: dict[str, Array]) -> NDArray[np.bool_]:
+        """Whether platforms are too far from their references to plan, (N,)."""
         d = self.robot.dimensions
-        error = (blocks["pose"] - blocks["reference_pose"])[rows] / _MAX_ERROR_RATIO
+        error = (blocks["pose"] - blocks["reference_pose"]) / _MAX_ERROR_RATIO
         position = np.linalg.norm(error[:, :d], axis=1)
         rotation = np.abs(error[:, d:]).max(axis=1, initial=0.0)
-        bounds = [self._tasks[row].error_bounds for row in rows.tolist()]
+        bounds = [task.error_bounds for task in self._tasks]
         is_near = position < [each.position for each in bounds]
         is_near &= rotation < [each.rotation for each in bounds]
         return ~is_near
