@@ -632,19 +632,6 @@ _ERROR_SEPARATOR = ":"
 """What separates the name of an uncertainty from that of one of its errors, ``hardware:delay``."""
 
 
-def split_error(name: str) -> tuple[str, str]:
-    """Name of an uncertainty, and that of its error that is alone, which may be empty: ``hardware``
-    and ``delay`` of ``hardware:delay``."""
-    uncertainty, _, error = name.partition(_ERROR_SEPARATOR)
-    return uncertainty, error
-
-
-def single_errors(name: str, robot: Robot) -> list[str]:
-    """Names of the uncertainties that have one error of another one each, such as
-    ``hardware:delay``."""
-    return [f"{name}{_ERROR_SEPARATOR}{error}" for error in find_uncertainty(name, robot).errors()]
-
-
 def find_uncertainty(
     uncertainty: str | Mapping[str, Any] | Uncertainty | None, robot: Robot
 ) -> Uncertainty:
@@ -674,7 +661,7 @@ def _joined(names: str, robot: Robot) -> Uncertainty:
     """The uncertainty of names joined by ``+``, which must not define a field twice."""
     merged: dict[str, Any] = {}
     for name in names.split("+"):
-        name, error = split_error(name)
+        name, _, error = name.partition(_ERROR_SEPARATOR)
         if name not in UNCERTAINTIES:
             check_not_a_file("uncertainty", names, JSON_FORM)
         choice("uncertainty", name, UNCERTAINTIES, ", or join several by '+'")

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from importlib.resources import files
 from typing import Any
 
+from cablebot_gym.envs import ENV_IDS
 from cablebot_gym.policies import Policy, PolicyEntry
 from cablebot_gym.robots import Robot
 
 DATA: dict[str, dict[str, Any]] = {
-    name: data | {"name": name, "env_ids": tuple(data["env_ids"])}
+    name: data | {"name": name, "env_ids": tuple(data.get("env_ids", ENV_IDS))}
     for name, data in tomllib.loads(
         (files("cablebot_baselines") / "policies.toml").read_text(encoding="utf-8")
     ).items()

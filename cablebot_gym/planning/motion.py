@@ -71,6 +71,11 @@ class MarginProfile:
         action = np.zeros((len(times), cables))
         return cls(times=times, position=zero, rotation=zero, action=action, tension=zero)
 
+    def scaled(self, factor: float) -> MarginProfile:
+        """The profile with each margin times a factor."""
+        margins = {name: factor * values for name, values in vars(self).items()}
+        return MarginProfile(**margins | {"times": self.times})
+
     def largest(self, name: str, instants: Array, reach: float) -> Array:
         """Largest margin of a limit within ``reach`` [s] of each instant, shape (instants, ...); 0
         where no time is in reach."""

@@ -70,18 +70,36 @@ def test_overloaded_cable_fails_a_rehearsal():
         assert overloaded.largest_carried(reserved=False) == 0.0
 
 
-@pytest.mark.parametrize(("error", "is_planned"), [(0.0099, True), (0.0101, False)])
-def test_plan_that_misses_the_reserves_is_better_than_none(monkeypatch, error, is_planned):
-    """One that misses the limits themselves is not."""
-    motion = Mock(payload=2.0)
-    program = Mock(**{"resolve.return_value": motion})
-    planner = Mock(**{"first.return_value": (program, motion)})
-    search = PlanSearch(planner, TASK, find_uncertainty("hardware", TASK.robot))
-    episodes = rehearsal([0, 2], position=np.full((2, 200), error))
-    monkeypatch.setattr(rehearsed, "rehearse", lambda *_: [episodes])
+@pytest.fixture
+def search(monkeypatch):
+    """A function that searches among given plans, each with the same rehearsal; None is infeasible."""
+
+    def found(plans, episodes):
+        first, *others = plans
+        program = Mock(**{"resolve.side_effect": [other or Infeasible("none") for other in others]})
+        planner = Mock(**{"first.return_value": (program, first)})
+        monkeypatch.setattr(rehearsed, "rehearse", lambda *_: [episodes])
+        (plan,) = find_plans([PlanSearch(planner, TASK, find_uncertainty("hardware", TASK.robot))])
+        return plan
+
     monkeypatch.setattr(rehearsed, "tracking_law", Mock())
     monkeypatch.setattr(rehearsed, "spread_margins", lambda *_: MarginProfile.zeros(TIMES, 3))
-    assert find_plans([search]) == [motion if is_planned else None]
+    return found
+
+
+@pytest.mark.parametrize(("error", "is_planned"), [(0.0099, True), (0.0101, False)])
+def test_plan_that_misses_the_reserves_is_better_than_none(search, error, is_planned):
+    """One that misses the limits themselves is not."""
+    motion = Mock(payload=2.0)
+    episodes = rehearsal([0, 2], position=np.full((2, 200), error))
+    assert search([motion] * 4, episodes) == (motion if is_planned else None)
+
+
+@pytest.mark.parametrize("later", [[None, None, None], [None, Mock(payload=1.5), None]])
+def test_first_plan_stays_where_larger_margins_leave_none(search, later):
+    """Motions without a further plan had none at all, and failed unloaded."""
+    first = Mock(payload=2.0)
+    assert search([first, *later], rehearsal([0, 2])) is first
 
 
 def test_jump_that_comes_a_period_later_needs_no_margin():

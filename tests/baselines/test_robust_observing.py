@@ -166,16 +166,21 @@ def unloaded(env_id, seed, **keywords):
     )
 
 
-def test_light_platform_on_redundant_cables_starts_taut():
+@pytest.mark.parametrize(
+    ("env_id", "seed"), [("CableBot-Point-v0", 61), ("CableBot-FlexPlanarPlatform-v0", 62)]
+)
+def test_light_platform_on_redundant_cables_starts_taut(env_id, seed):
     """A law that expects half of the largest payload lifts it, and the stop slackens the cables."""
-    env_id = "CableBot-Point-v0"
-    steps = drive(Observing(ROBOTS[env_id]), unloaded(env_id, 61), steps=8)
+    steps = drive(Observing(ROBOTS[env_id]), unloaded(env_id, seed), steps=8)
     assert not np.any([step.info["violated"] for step in steps])
 
 
 @pytest.mark.landing
-def test_light_platform_keeps_its_pose_with_errors_of_motors():
-    """Within a boundary layer for the whole delay, friction turns it by half of the bound."""
-    env_id = "CableBot-PlanarPlatform-v0"
+@pytest.mark.parametrize(
+    "env_id", ["CableBot-PlanarPlatform-v0", "CableBot-FlexPlanarPlatform-v0"]
+)
+def test_light_platform_keeps_its_pose_with_errors_of_motors(env_id):
+    """Within a boundary layer for the whole delay, friction turns it by half of the bound. On springs, an
+    outer loop makes it swing."""
     steps = drive(Observing(ROBOTS[env_id]), unloaded(env_id, 60))
     assert not np.any([step.info["violated"] for step in steps])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cablebot_baselines.entries import entry
 from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.laws.flexible import Composite
+from cablebot_baselines.laws.flexible import Composite, MotorPD
 from cablebot_baselines.laws.law import Array
 from cablebot_baselines.laws.observer_law import UNCERTAINTY, ObserverLaw
 from cablebot_baselines.laws.outer_loop import BoundedRobustPD
@@ -27,12 +27,17 @@ _HALVINGS = 7
 """Number of halvings that find the largest acceleration within the limits of the motors."""
 
 _Law = FeedbackLinearization | Composite
+"""Laws with an outer loop."""
 
 
 class Observing(ObserverLaw):
     """The law of :class:`~cablebot_baselines.laws.observer_law.ObserverLaw` with the gains of a
     :class:`~cablebot_baselines.laws.robust_design.RobustDesign`, and the bounds and tensions of one
     for each motion that it meets.
+
+    A platform on springs that is lighter than the rotors is moved by
+    :class:`~cablebot_baselines.laws.flexible.MotorPD`: an outer loop would have to be slower than its
+    swing.
 
     Args:
         robot: nominal robot; the law expects any of ``hardware``.
@@ -41,10 +46,14 @@ class Observing(ObserverLaw):
 
     def __init__(self, robot: Robot, *, payload_prior: float = 1.0) -> None:
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
-        kind = Composite if robot.flexible else FeedbackLinearization
+        kind: type[_Law | MotorPD] = FeedbackLinearization
+        if robot.flexible:
+            kind = MotorPD if expectation.light_on_springs else Composite
         super().__init__(kind(expectation.robot), expectation, payload_prior=payload_prior)
 
     def _prepare(self, payloads: Array) -> None:
+        if isinstance(self.law, MotorPD):
+            return
         designs = []
         for task, rows in self._motions:
             largest = float(payloads[rows][0])
@@ -87,7 +96,7 @@ class Observing(ObserverLaw):
     ) -> Array:
         """With more cables than coordinates the acceleration is reduced in its direction, so that
         all cables keep the allocated tension."""
-        if self._allocates:
+        if self._allocates or isinstance(self.law, MotorPD):
             return super()._reduced(requested, blocks, estimate, rows)
         estimate = estimate.of(rows)
         blocks = {name: values[rows] for name, values in blocks.items()}

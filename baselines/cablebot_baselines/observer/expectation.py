@@ -12,6 +12,7 @@ import numpy as np
 
 from cablebot_gym.bounds.closed_form import exact_payload
 from cablebot_gym.kinematics import Array
+from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import PARAMETERS, ExternalWrench, SensorNoise, Uncertainty
@@ -117,6 +118,16 @@ class Expectation:
             bias=uncertainty.sensor_bias or SensorNoise(),
             start_spread=start_spread,
         )
+
+    @property
+    def light_on_springs(self) -> bool:
+        """Whether springs hold a platform that is lighter than the rotors behind them: it then swings
+        against the rotors, and not they against it."""
+        if not self.robot.flexible:
+            return False
+        model = joint_equivalent(self.robot)
+        rotors = model.motor_inertia / model.pulley_radius**2
+        return bool(model.mass < rotors.min())
 
     def effect_times(self, period: float) -> tuple[float, float]:
         """Shortest and longest time between the request of an action and its torque [s], with a

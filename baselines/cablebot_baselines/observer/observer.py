@@ -50,10 +50,11 @@ OFFSET_DRIFT = 0.1
 """Growth of the standard deviation of a spring's zero angle in one second, in units of its initial
 one."""
 
-START, POINT_START = 0.5, 0.1
-"""Payload with which the filter starts if it is unknown, as a fraction of the largest possible one; the
-second one of a point mass. A mass that is lighter than expected rises, and the law that stops it slackens
-redundant cables. One that is heavier sags, which turns a platform."""
+START = 0.5
+"""Payload with which the filter starts if it is unknown, as a fraction of the largest possible one. A
+platform that is heavier than expected sags and turns. A point mass does not turn, and one on springs
+that is lighter than the rotors weighs little: they start unloaded, because a mass that is lighter
+than expected rises, and the law that stops it slackens redundant cables."""
 
 _AHEAD_STEPS = 4
 """Number of steps in which the motion of a flexible robot is predicted until an action takes
@@ -117,7 +118,8 @@ class RobotObserver:
             self._winches = WinchSensors(expectation, self.columns, measurement, start_pose, period)
         self._torques = Torques(expectation, self.columns, period, self._winches)
         self._least_growth = self._growth_without_mass()
-        self._start = POINT_START if self.robot.point_mass else START
+        starts_unloaded = self.robot.point_mass or expectation.light_on_springs
+        self._start = 0.0 if starts_unloaded else START
         self._least_mass = self.robot.mass - 3 * expectation.mass_spread
 
     def estimate(self, state: ObserverState) -> RobotEstimate:

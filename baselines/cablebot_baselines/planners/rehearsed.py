@@ -285,15 +285,15 @@ class PlanSearch:
         program, plan = self._planner.first(robot, self.task, margins, lightest)
         rehearsal = yield RehearsalQuestion(plan=plan, fractions=(0.0, 1.0))
         profile = self._startable(spread_margins(rehearsal, plan))
-        most, best = (-1.0, -1.0), plan
+        most, best = _carried(rehearsal), plan
         for _ in range(ROUNDS):
             try:
                 plan = program.resolve(*self._split(profile))
             except Infeasible:
-                break
+                profile = profile.scaled(0.5)
+                continue
             rehearsal = yield RehearsalQuestion(plan=plan, fractions=FRACTIONS)
-            # a plan that misses the reserves is better than none
-            carried = rehearsal.largest_carried(), rehearsal.largest_carried(reserved=False)
+            carried = _carried(rehearsal)
             if carried > most:
                 most, best = carried, plan
             if carried[0] >= plan.payload:
@@ -347,6 +347,12 @@ class PlanSearch:
         ceiling = np.maximum(SPRING_RESERVE * _reserve(robot) - least, 0.0)
         ceiling = ceiling + SPRING_RATE * profile.times
         return replace(profile, tension=np.minimum(profile.tension, ceiling))
+
+
+def _carried(rehearsal: Rehearsal) -> tuple[float, float]:
+    """Largest payload that all robots carry with the reserves, and without them [kg]: a plan that
+    misses the reserves is better than none."""
+    return rehearsal.largest_carried(), rehearsal.largest_carried(reserved=False)
 
 
 def find_plans(searches: Sequence[PlanSearch]) -> list[PlannedMotion | None]:
