@@ -176,9 +176,7 @@ def test_light_platform_on_redundant_cables_starts_taut(env_id, seed):
 
 
 @pytest.mark.landing
-@pytest.mark.parametrize(
-    "env_id", ["CableBot-PlanarPlatform-v0", "CableBot-FlexPlanarPlatform-v0"]
-)
+@pytest.mark.parametrize("env_id", ["CableBot-PlanarPlatform-v0", "CableBot-FlexPlanarPlatform-v0"])
 def test_light_platform_keeps_its_pose_with_errors_of_motors(env_id):
     """Within a boundary layer for the whole delay, friction turns it by half of the bound. On springs, an
     outer loop makes it swing."""
