@@ -15,24 +15,25 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg.lapack import dpotrf, dtrtri
 
-from cablebot_gym.envs.observation import PREVIEWS
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
-from cablebot_gym.physics.inverse import Demands, demands, inverse_dynamics
+from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.textbook import times_vector
 from cablebot_gym.planning import Margins
 from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
 
-HORIZON = PREVIEWS[-1]
-"""Planning horizon [s]; it equals the longest preview of the reference."""
+HORIZON_PERIODS = 100
+"""Planning horizon in control periods of the robot: slow robots with wide error bounds have longer
+ones."""
 
 _DEGREE = 3
 """Degree of the spline; the acceleration is linear between knots."""
 
-_TIME_SCALE = 0.05
-"""Time that scales velocities (bound per time) and accelerations (bound per time²) [s]."""
+_TIME_SCALE = 0.25
+"""Time that scales velocities (bound per time) and accelerations (bound per time²), as a fraction of
+the horizon."""
 
 _FIRST_ITERATIONS = 3
 """Number of quadratic programs for a plan without a previous plan as initial guess."""
@@ -42,7 +43,8 @@ _DIFFERENCE = 1e-6
 
 
 _SMOOTHNESS_WEIGHT = 1e-6
-"""Weight of the sum of squared acceleration steps between instants, in bounds per (50 ms)²."""
+"""Weight of the sum of squared acceleration steps between instants, in bounds per squared
+time scale."""
 
 _ACTION_EXCESS_WEIGHT = 100.0
 """Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in units of
@@ -71,7 +73,8 @@ class Tuning:
     end_error_weight: float
     """Weight of the squared error at the end of the horizon; the reference after it is unknown."""
     end_velocity_weight: float
-    """Weight of the squared velocity error at the end of the horizon, in bounds per 50 ms."""
+    """Weight of the squared velocity error at the end of the horizon, in bounds per
+    time scale."""
 
 
 class _Batch:
@@ -172,7 +175,7 @@ class _Fixed:
 
 
 class HorizonProgram:
-    """Plans X(t) for t from 0 to :data:`HORIZON` from a given state, as a cubic spline with evenly
+    """Plans X(t) for t from 0 to :attr:`horizon` from a given state, as a cubic spline with evenly
     spaced knots.
 
     Each iteration linearises the robot about the last plan and solves one quadratic program for the
@@ -196,14 +199,16 @@ class HorizonProgram:
         self.tuning = tuning
         self.minimum_tension = robot.minimum_tension + tuning.margins.tension
         """Minimum cable tension of the plans [N]."""
-        knots = np.linspace(0.0, HORIZON, tuning.intervals + 1)
+        self.horizon = HORIZON_PERIODS / robot.defaults.control_frequency
+        """Planning horizon [s]."""
+        knots = np.linspace(0.0, self.horizon, tuning.intervals + 1)
         self._knots = np.pad(knots, _DEGREE, mode="edge")
         # Greville abscissa of the second control point [s]
         self._second_point_time = float(knots[1]) / _DEGREE
         self.points = tuning.intervals + _DEGREE
         """Number of control points."""
         count = tuning.intervals * tuning.instants + 1
-        self.instants = np.linspace(0.0, HORIZON, count)
+        self.instants = np.linspace(0.0, self.horizon, count)
         """Times at which the constraints apply, (K,) [s]."""
         self._bases = self.basis(self.instants)
         self._fit = np.linalg.pinv(self._bases[0])
@@ -319,7 +324,7 @@ class HorizonProgram:
         demand = demands(robot, masses, varied)
         structure = np.swapaxes(demand.structure, -1, -2)
         inverse, null_space = _inverse_and_null_space(structure[0])
-        tensions = self._tensions_of_plan(masses[0], motion, demand, inverse)
+        tensions = self._tensions_of_plan(masses[0], motion, demand.load[0], inverse)
         imbalance = demand.load + times_vector(structure, tensions)
         torques = textbook.motor_torques(robot, 0.0, demand.speeds, demand.pulley_accelerations)
         passive_actions = textbook.normalised_action(robot, torques, demand.speeds)
@@ -359,23 +364,11 @@ class HorizonProgram:
         quotients = differences / self._steps[:, None, None, None]
         return np.moveaxis(quotients, 0, -1)
 
-    def _tensions_of_plan(
-        self, mass: Array, motion: Array, demand: Demands, inverse: Array
-    ) -> Array:
-        """Tensions of unvaried motions with masses (N, K), (N, K, m) [N]."""
-        robot = self.robot
-        minimum = self.minimum_tension
-        load = demand.load[0]
+    def _tensions_of_plan(self, mass: Array, motion: Array, load: Array, inverse: Array) -> Array:
+        """Tensions of unvaried motions with masses (N, K) and loads (N, K, n), (N, K, m) [N]."""
         if not self._has_null_space:
             return -times_vector(inverse, load)
-        if robot.kind == "planar":
-            return inverse_dynamics(robot, mass, *motion, minimum=minimum).tensions
-        structure = demand.structure[0]
-        speeds = demand.speeds[0]
-        accelerations = demand.pulley_accelerations[0]
-        return textbook.least_action_tensions(
-            robot, structure, load, speeds, accelerations, minimum
-        )
+        return inverse_dynamics(self.robot, mass, *motion, minimum=self.minimum_tension).tensions
 
     # The quadratic program minimises ½ z'Hz + g'z subject to A z ≤ b. The variables z are the changes
     # of the free control points, the null-space tensions, and the excesses of actions and errors
@@ -405,7 +398,7 @@ class HorizonProgram:
         hessian[:, null_space, null_space] += 1e-6  # makes the programs strictly convex
         gradient = np.zeros((count, self._columns))
         values = [errors.reshape(count, -1), end_velocity, jumps.reshape(count, -1)]
-        gradient[:, self._motion] = np.concatenate(values, axis=1) @ fixed.gradient.T
+        gradient[:, self._motion] = times_vector(fixed.gradient, np.concatenate(values, axis=1))
         powers, power_slope = self._action_powers(linearisation, matrix[:, self._actions])
         hessian += np.swapaxes(power_slope, 1, 2) @ power_slope
         gradient += times_vector(np.swapaxes(power_slope, 1, 2), powers)
@@ -525,8 +518,9 @@ class HorizonProgram:
         weights = np.empty(len(bases))
         weights[:count] = tuning.error_weight / count
         weights[count - 1] += tuning.end_error_weight
-        weights[count] = tuning.end_velocity_weight * _TIME_SCALE**2
-        weights[count + 1 :] = _SMOOTHNESS_WEIGHT * _TIME_SCALE**4
+        time = _TIME_SCALE * self.horizon
+        weights[count] = tuning.end_velocity_weight * time**2
+        weights[count + 1 :] = _SMOOTHNESS_WEIGHT * time**4
         gradient = (slope * np.repeat(weights, n)[:, None]).T
         error_slope = slope[: count * n]
         limited_slope = error_slope[n:]

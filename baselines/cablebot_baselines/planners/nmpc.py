@@ -17,7 +17,6 @@ from cablebot_baselines.laws.observer_law import UNCERTAINTY, Instant, ObserverL
 from cablebot_baselines.laws.outer_loop import by_kind
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.horizon import (
-    HORIZON,
     ExpectedRobots,
     HorizonProgram,
     Linearisation,
@@ -103,7 +102,7 @@ class PlannerState:
 
 
 class NonlinearMPC(ObserverLaw):
-    """Plans the next 0.2 s at every fifth control step and tracks the plan at every step.
+    """Plans the next 100 control periods at every fifth control step and tracks the plan at every step.
 
     A plan starts from the state that the observer expects at the instant at which the action takes
     effect, stays within the error bounds and needs small motor actions, see
@@ -184,7 +183,7 @@ class NonlinearMPC(ObserverLaw):
             )
         age = np.where(starts, 0.0, np.round(planner.age + self.observer.period, 9))
         plan = planner.plan.copy()
-        plan[starts | (age > HORIZON)] = np.nan
+        plan[starts | (age > self.program.horizon)] = np.nan
         return PlannerState(
             step=np.where(starts, 0, planner.step + 1),
             plan=plan,
