@@ -27,9 +27,10 @@ from cablebot_gym.physics import textbook
 from cablebot_gym.robots import FLEX_SPATIAL, Robot
 from cablebot_gym.task import Task
 
-DIFFERENCE_STEP = 2e-4
-"""Time step of the central differences for κ̇ and κ̈ along a motion [s]; their error is below
-1e-6."""
+DIFFERENCE_PERIODS = 2
+"""Control periods on each side of the central differences for κ̇ and κ̈ along a motion. The torque is
+constant over a period: shorter differences would hold for all of it what a kink of the tensions, at a
+change of the least one, demands for an instant."""
 
 FADE_TIME = 0.5
 """Time constant with which :class:`MotorPD` leaves the tensions at the start of an episode for its own
@@ -90,6 +91,16 @@ class FlexibleLaw(ClassicalLaw):
                 f"{law} needs joint springs or elastic cables; robot {robot.name!r} has none"
             )
         super().__init__(robot, minimum_tension=minimum_tension)
+        self._difference_step = DIFFERENCE_PERIODS / robot.defaults.control_frequency
+
+    def reset(self, tasks: Sequence[Task]) -> None:
+        """Checks the robots of the tasks and reads the control period.
+
+        Raises:
+            ValueError: if a task's robot differs from the law's robot in kind or anchors.
+        """
+        super().reset(tasks)
+        self._difference_step = DIFFERENCE_PERIODS / tasks[0].control_frequency
 
     def torques(self, blocks: dict[str, Array], mass: Array) -> tuple[Array, Array]:
         """Requested torques [N·m] and motor speeds [rad/s], each (..., m)."""
@@ -116,13 +127,14 @@ class FlexibleLaw(ClassicalLaw):
     ) -> tuple[Array, Array, Array]:
         """Spring torques κ = r T + J β̈ + c β̇ that a motion requires, κ̇ and κ̈, by central
         differences."""
-        steps = DIFFERENCE_STEP * np.array([-1.0, 0.0, 1.0])
+        step = self._difference_step
+        steps = step * np.array([-1.0, 0.0, 1.0])
         times = steps.reshape(-1, *[1] * motion.position.ndim)
         masses = np.stack([mass] * len(steps))
         # One batch takes a third of the time of three.
         before, now, after = self._inverse_dynamics(masses, *motion.after(times)).torques
-        rate = (after - before) / (2 * DIFFERENCE_STEP)
-        second = (after - 2 * now + before) / DIFFERENCE_STEP**2
+        rate = (after - before) / (2 * step)
+        second = (after - 2 * now + before) / step**2
         return now, rate, second
 
     def _reference_spring_torques(

@@ -14,12 +14,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from cablebot_baselines.laws.flexible import DIFFERENCE_STEP, JointMotion
+from cablebot_baselines.laws.flexible import JointMotion
 from cablebot_baselines.laws.law import Array
 from cablebot_gym.motions import ORDERS
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.textbook import joint_equivalent
 from cablebot_gym.robots import Robot
+
+DIFFERENCE_STEP = 2e-4
+"""Time step of the central differences for κ̇ and κ̈ along a plan [s]; their error is below 1e-6."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -28,8 +28,11 @@ HORIZON_PERIODS = 100
 """Planning horizon in control periods of the robot: slow robots with wide error bounds have longer
 ones."""
 
-_DEGREE = 3
-"""Degree of the spline; the acceleration is linear between knots."""
+_DEGREE = {"rigid": 3, "flexible": 5}
+"""Degree of the spline, by joints of the robot: a flexible one needs jerk and snap."""
+
+_GIVEN = {"rigid": 2, "flexible": 4}
+"""Number of derivatives, from the pose on, that the start of a plan gives."""
 
 _TIME_SCALE = 0.25
 """Time that scales velocities (bound per time) and accelerations (bound per time²), as a fraction of
@@ -41,10 +44,6 @@ _FIRST_ITERATIONS = 3
 _DIFFERENCE = 1e-6
 """Step of the difference quotients along X [m, rad] and Ẋ [m/s, rad/s]."""
 
-
-_SMOOTHNESS_WEIGHT = 1e-6
-"""Weight of the sum of squared acceleration steps between instants, in bounds per squared
-time scale."""
 
 _ACTION_EXCESS_WEIGHT = 100.0
 """Weight of the largest constraint violation of actions, in units of ±1, and of tensions, in units of
@@ -75,6 +74,9 @@ class Tuning:
     end_velocity_weight: float
     """Weight of the squared velocity error at the end of the horizon, in bounds per
     time scale."""
+    smoothness_weight: float = 1e-6
+    """Weight of the sum of squared acceleration steps between instants, in bounds per squared time
+    scale. Springs swing after large ones."""
 
 
 class _Batch:
@@ -136,7 +138,7 @@ class Linearisation(_Batch):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Program(_Batch):
     """Quadratic programs for the changes of N plans whose starts are not yet given: ``½ w'w + (g + G
-    s)'w`` subject to ``A w ≤ b − B s``, with the change s of the first two control points. The excesses
+    s)'w`` subject to ``A w ≤ b − B s``, with the change s of the control points that are given. The excesses
     are not part of w here. NaN where a program has no solution."""
 
     plan: Array
@@ -195,23 +197,26 @@ class HorizonProgram:
     def __init__(self, robot: Robot, tuning: Tuning) -> None:
         ca = import_casadi()
         check_model(robot)
-        self.robot = robot
+        self.given = _GIVEN[robot.joints]
+        """Number of derivatives, from the pose on, that the start of a plan gives."""
+        self._degree = _DEGREE[robot.joints]
+        self.robot = robot = rigid_equivalent(robot)
         self.tuning = tuning
         self.minimum_tension = robot.minimum_tension + tuning.margins.tension
         """Minimum cable tension of the plans [N]."""
         self.horizon = HORIZON_PERIODS / robot.defaults.control_frequency
         """Planning horizon [s]."""
         knots = np.linspace(0.0, self.horizon, tuning.intervals + 1)
-        self._knots = np.pad(knots, _DEGREE, mode="edge")
-        # Greville abscissa of the second control point [s]
-        self._second_point_time = float(knots[1]) / _DEGREE
-        self.points = tuning.intervals + _DEGREE
+        self._knots = np.pad(knots, self._degree, mode="edge")
+        self.points = tuning.intervals + self._degree
         """Number of control points."""
         count = tuning.intervals * tuning.instants + 1
         self.instants = np.linspace(0.0, self.horizon, count)
         """Times at which the constraints apply, (K,) [s]."""
-        self._bases = self.basis(self.instants)
+        self._bases = self.basis(self.instants)[:3]
         self._fit = np.linalg.pinv(self._bases[0])
+        # From the derivatives at the start to the first control points.
+        self._first_points = np.linalg.inv(self.basis(0.0)[: self.given, : self.given])
         self.basis_at = lru_cache(maxsize=1024)(self.basis)
         """:meth:`basis` of one time, cached."""
         self.shift = lru_cache(maxsize=64)(self._shift)
@@ -222,11 +227,11 @@ class HorizonProgram:
         m = robot.cables
         # The load is linear in Ẍ.
         self._steps = np.repeat([_DIFFERENCE, _DIFFERENCE, 1.0], n)
-        # Columns: the control points, of which the first two are given, and the null-space tensions.
+        # Columns: the control points, of which the first ones are given, and the null-space tensions.
         motion = n * self.points
         self._columns = motion + count * (m - n)
-        self._start = slice(2 * n)
-        self._free = slice(2 * n, None)
+        self._start = slice(self.given * n)
+        self._free = slice(self.given * n, None)
         self._motion = slice(motion)
         self._null_space = slice(motion, None)
         self._has_null_space = m > n
@@ -240,7 +245,7 @@ class HorizonProgram:
         self._errors = slice(errors, None)
         self._rows = errors + 2 * n * (count - 1)
         # The variables of the solver are the free columns and the excesses of actions and errors.
-        variables = self._columns - 2 * n + 2
+        variables = self._columns - self.given * n + 2
         dense = {
             "h": ca.Sparsity.dense(variables, variables),
             "a": ca.Sparsity.dense(self._rows, variables),
@@ -271,47 +276,38 @@ class HorizonProgram:
         inputs["ubx"][:] = np.inf
 
     def basis(self, times: Array | float) -> Array:
-        """Matrices from control points to pose, velocity and acceleration at times in the horizon,
-        (3, ..., points)."""
-        points = len(self._knots) - _DEGREE - 1
-        pose = BSpline(self._knots, np.eye(points), _DEGREE)
-        velocity = pose.derivative(1)
-        acceleration = pose.derivative(2)
-        return np.stack([pose(times), velocity(times), acceleration(times)])
+        """Matrices from control points to the pose and its first four derivatives at times in the
+        horizon, (5, ..., points)."""
+        pose = BSpline(self._knots, np.eye(self.points), self._degree)
+        return np.stack([pose(times, order) for order in range(5)])
 
     def _shift(self, time: float) -> Array:
-        pose, _, _ = self.basis(self.instants + time)
-        return self._fit @ pose
+        return self._fit @ self.basis(self.instants + time)[0]
 
-    def plan(
-        self, pose: Array, velocity: Array, target: Target, *, robots: ExpectedRobots
-    ) -> tuple[Array, str]:
+    def plan(self, start: Array, target: Target, *, robots: ExpectedRobots) -> tuple[Array, str]:
         """Control points of plans, from the reference as the first guess, and the reason of failures,
         as :meth:`solved`.
 
         Args:
-            pose: X, (N, n) [m, rad].
-            velocity: Ẋ, (N, n) [m/s, rad/s].
+            start: pose and derivatives at the start, (N, given, n).
             target: what the plans have to do.
             robots: what is expected of the robots.
         """
-        plans = self._with_start(self._fit @ target.reference, pose, velocity)
+        plans = self._with_start(self._fit @ target.reference, start)
         rows = np.arange(len(plans))
         first_reason = ""
         for _ in range(_FIRST_ITERATIONS):
             program = self.assembled(self.linearised(plans[rows], robots[rows]), target[rows])
-            plans[rows], reason = self.solved(program, pose[rows], velocity[rows])
+            plans[rows], reason = self.solved(program, start[rows])
             first_reason = first_reason or reason
             rows = rows[has_plan(plans[rows])]
             if not len(rows):
                 break
         return plans, first_reason
 
-    def _with_start(self, plans: Array, pose: Array, velocity: Array) -> Array:
+    def _with_start(self, plans: Array, start: Array) -> Array:
         """Plans with other starts."""
-        second_point = pose + self._second_point_time * velocity
-        start = np.stack([pose, second_point], axis=1)
-        return np.concatenate([start, plans[:, 2:]], axis=1)
+        return np.concatenate([self._first_points @ start, plans[:, self.given :]], axis=1)
 
     def linearised(self, plans: Array, expected: ExpectedRobots) -> Linearisation:
         """First part of an iteration: the robots, linearised about plans."""
@@ -414,18 +410,17 @@ class HorizonProgram:
             start_gradient=unwhitened @ hessian[:, free, self._start],
         )
 
-    def solved(self, program: Program, pose: Array, velocity: Array) -> tuple[Array, str]:
+    def solved(self, program: Program, start: Array) -> tuple[Array, str]:
         """Last part of an iteration: control points (N, points, n) of plans from their starts, and the
         reason of the first failure; NaN where there is none.
 
         Args:
             program: the quadratic programs; their plans have starts nearby.
-            pose: X, (N, n) [m, rad].
-            velocity: Ẋ, (N, n) [m/s, rad/s].
+            start: pose and derivatives at the start, (N, given, n).
         """
-        plans = self._with_start(program.plan, pose, velocity)
+        plans = self._with_start(program.plan, start)
         count = len(plans)
-        start_change = (plans - program.plan)[:, :2].reshape(count, -1)
+        start_change = (plans - program.plan)[:, : self.given].reshape(count, -1)
         gradient = program.gradient + times_vector(program.start_gradient, start_change)
         limit = program.limit - times_vector(program.start_matrix, start_change)
         first_reason = ""
@@ -442,7 +437,7 @@ class HorizonProgram:
                 first_reason = first_reason or str(error)
                 plans[row] = np.nan
                 continue
-            free_points = plans[row, 2:]
+            free_points = plans[row, self.given :]
             free_points += change[: free_points.size].reshape(free_points.shape)
         return plans, first_reason
 
@@ -520,7 +515,7 @@ class HorizonProgram:
         weights[count - 1] += tuning.end_error_weight
         time = _TIME_SCALE * self.horizon
         weights[count] = tuning.end_velocity_weight * time**2
-        weights[count + 1 :] = _SMOOTHNESS_WEIGHT * time**4
+        weights[count + 1 :] = tuning.smoothness_weight * time**4
         gradient = (slope * np.repeat(weights, n)[:, None]).T
         error_slope = slope[: count * n]
         limited_slope = error_slope[n:]
@@ -552,6 +547,20 @@ class HorizonProgram:
         slope = np.moveaxis(self._bases, 0, -1) @ by_order
         by_point = slope.reshape(robots, count, self.points, rows, n).swapaxes(2, 3)
         return by_point.reshape(robots, count, rows, self.points * n)
+
+
+def rigid_equivalent(robot: Robot) -> Robot:
+    """The robot with stiff springs: motor and pulley are one inertia."""
+    if not robot.flexible:
+        return robot
+    transmission = robot.transmission.replace(
+        stiffness=None,
+        motor_inertia=None,
+        motor_damping=0.0,
+        pulley_inertia=robot.pulley_inertia + robot.motor_inertia,
+        damping=robot.damping + robot.motor_damping,
+    )
+    return robot.replace(transmission=transmission)
 
 
 def has_plan(plans: Array) -> NDArray[np.bool_]:

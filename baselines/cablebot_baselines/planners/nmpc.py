@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from cablebot_baselines.entries import entry
 from cablebot_baselines.laws.feedback_linearization import FeedbackLinearization
-from cablebot_baselines.laws.law import Array
-from cablebot_baselines.laws.observer_law import UNCERTAINTY, Instant, ObserverLaw
-from cablebot_baselines.laws.outer_loop import by_kind
+from cablebot_baselines.laws.flexible import MotorPD
+from cablebot_baselines.laws.law import Array, ClassicalLaw
+from cablebot_baselines.laws.observer_law import REFERENCE, UNCERTAINTY, Instant, ObserverLaw
+from cablebot_baselines.laws.outer_loop import PD, by_kind
+from cablebot_baselines.laws.robust_design import RobustDesign
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners.horizon import (
     ExpectedRobots,
@@ -38,34 +40,57 @@ STEPS_PER_PLAN = 5
 _LINEARISING = STEPS_PER_PLAN - 2
 """Control step after a plan in which the next plan begins."""
 
+_SPATIAL = Tuning(
+    intervals=7,
+    instants=3,
+    margins=Margins(position=5e-4, rotation=1.2e-3, action=0.002, tension=9.0),
+    action_exponent=3.0,
+    error_weight=0.3,
+    end_error_weight=0.3,
+    end_velocity_weight=3.0,
+)
+
+_PLANAR = Tuning(
+    intervals=10,
+    instants=2,
+    margins=Margins(position=7e-4, action=0.005, tension=3.5),
+    action_exponent=4.0,
+    error_weight=0.1,
+    end_error_weight=0.0,
+    end_velocity_weight=1.0,
+)
+
+_PLATFORM = replace(
+    _SPATIAL,
+    margins=Margins(position=8e-4, rotation=5e-3, action=0.03, tension=3.0),
+    action_exponent=6.0,
+)
+
+_SPRINGS = 1e-3
+"""Smoothness weight of the plans of flexible robots."""
+
 TUNING = {
-    "planar": Tuning(
-        intervals=10,
-        instants=2,
-        margins=Margins(position=7e-4, action=0.005, tension=3.5),
-        action_exponent=4.0,
-        error_weight=0.1,
-        end_error_weight=0.0,
-        end_velocity_weight=1.0,
-    ),
-    "spatial": Tuning(
-        intervals=7,
-        instants=3,
-        margins=Margins(position=5e-4, rotation=1.2e-3, action=0.002, tension=9.0),
-        action_exponent=3.0,
-        error_weight=0.3,
-        end_error_weight=0.3,
-        end_velocity_weight=3.0,
-    ),
+    "rigid": {"planar": _PLANAR, "spatial": _SPATIAL, "planar-platform": _PLATFORM},
+    "flexible": {
+        "planar": replace(
+            _PLANAR,
+            margins=Margins(position=1e-3, action=0.02, tension=7.0),
+            end_error_weight=0.3,
+            end_velocity_weight=3.0,
+            smoothness_weight=_SPRINGS,
+        ),
+        "spatial": replace(
+            _SPATIAL,
+            margins=Margins(position=1.2e-3, rotation=1.5e-3, action=0.03, tension=3.0),
+            smoothness_weight=_SPRINGS,
+        ),
+    },
 }
-"""Tuning with the largest DLCC on the paper's circles."""
+"""Tuning by joints and kind of the robot, found on random loops for training."""
 
 PAYLOAD_OF_PLANS = 1.6
 """Largest payload of a plan within the error bounds, as a multiple of that with which the motors can
 track the reference exactly."""
-
-_PLANNED = ("reference_pose", "reference_velocity", "reference_acceleration")
-"""Blocks in which a plan replaces the reference."""
 
 _MAX_ERROR_RATIO = 2.0
 """Tracking error beyond which the controller does not plan, as a multiple of the error bounds."""
@@ -104,39 +129,42 @@ class PlannerState:
 class NonlinearMPC(ObserverLaw):
     """Plans the next 100 control periods at every fifth control step and tracks the plan at every step.
 
-    A plan starts from the state that the observer expects at the instant at which the action takes
-    effect, stays within the error bounds and needs small motor actions, see
+    The plan of a rigid robot starts from the state that the observer expects at the instant at which the action takes
+    effect. All plans stay within the error bounds and need small motor actions, see
     :class:`~cablebot_baselines.planners.horizon.Tuning`. It is a plan for the estimated mass,
     strengths of the motors and wrench. Each plan is one iteration from the one before, a real-time
     iteration: of the control steps before the plan, one linearises the robot and the next assembles
     the quadratic program. That of the plan solves it for the measured state. Without a plan before,
     one step makes the plan.
 
+    On a robot with joint springs, a plan starts from the one before: its pose, velocity, acceleration
+    and jerk have no jumps, after which the springs would swing. Plans are for stiff springs. The law that
+    tracks them moves the motors as the springs demand, and corrects the errors of the platform.
+
     If the solver fails, the controller tracks the last plan until its end, and then the reference
     itself. If the platform is too far from the reference to plan, the controller also tracks the
     reference. :attr:`fallbacks` counts these cases.
 
     Args:
-        robot: nominal rigid robot.
+        robot: nominal robot.
 
     Raises:
         ImportError: if CasADi is missing; the message names the command that installs it.
-        ValueError: if the robot has joint springs or motors with lag.
+        ValueError: if the robot has elastic cables or motors with lag.
     """
 
     def __init__(self, robot: Robot) -> None:
-        if robot.flexible:
-            raise ValueError(f"nmpc needs a rigid robot, not {robot.springs}")
+        if robot.elastic:
+            raise ValueError(f"nmpc needs rigid cables, not {robot.springs}")
         expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
-        gains = GAINS
-        if robot.planar:
-            gains = PLANAR_GAINS
-        self.program = HorizonProgram(robot, by_kind(TUNING, robot))
-        law = FeedbackLinearization(
-            expectation.robot,
-            gains=gains,
-            minimum_tension=self.program.minimum_tension,
-        )
+        self.program = HorizonProgram(robot, by_kind(TUNING[robot.joints], robot))
+        minimum = self.program.minimum_tension
+        law: ClassicalLaw
+        if robot.flexible:
+            law = MotorPD(expectation.robot, minimum_tension=minimum)
+        else:
+            gains = PLANAR_GAINS if robot.planar else GAINS
+            law = FeedbackLinearization(expectation.robot, gains=gains, minimum_tension=minimum)
         super().__init__(law, expectation, payload_prior=PAYLOAD_OF_PLANS)
         self.fallbacks = 0
         """Number of plans that were not made since the last :meth:`reset`: solver failures, and
@@ -150,6 +178,8 @@ class NonlinearMPC(ObserverLaw):
         """
         super().reset(tasks)
         self.fallbacks = 0
+        stiffness = RobustDesign.usual(self.expectation, tasks[0]).stiffness
+        self._correction = PD(gains=(stiffness**2, 2 * stiffness))
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
         """The plans at the instant at which the action takes effect in place of the reference, and
@@ -160,14 +190,23 @@ class NonlinearMPC(ObserverLaw):
         if is_due.any():
             planner = self._replanned(instant, planner, is_due)
         planner = self._prepared(instant, planner, phase)
+        motion = self._motion(instant, planner)
+        blocks = dict(zip(REFERENCE, np.moveaxis(motion, 1, 0), strict=False))
+        if self.robot.flexible:
+            blocks["reference_acceleration"] = self._correction(instant.ahead | blocks)
+        return blocks, planner
+
+    def _motion(self, instant: Instant, planner: PlannerState) -> Array:
+        """Pose and derivatives of the plans at the instant at which the action takes effect, (N,
+        derivatives, n); those of the reference without a plan."""
+        reference, _ = super().reference(instant, None)
+        motion = np.stack(list(reference.values()), axis=1)
         is_planned = has_plan(planner.plan)
-        planned, _ = super().reference(instant, memory)
         for age in np.unique(planner.age[is_planned]).tolist():
             rows = np.flatnonzero(is_planned & (planner.age == age))
-            motion = self.program.basis_at(age)[:, None, None] @ planner.plan[rows]
-            for name, values in zip(_PLANNED, motion[:, :, 0], strict=True):
-                planned[name][rows] = values
-        return planned, planner
+            basis = self.program.basis_at(age)[: motion.shape[1]]
+            motion[rows] = basis @ planner.plan[rows]
+        return motion
 
     def _advanced(self, planner: PlannerState | None, starts: NDArray[np.bool_]) -> PlannerState:
         """The last plans after one control period; none where an episode starts."""
@@ -203,17 +242,17 @@ class NonlinearMPC(ObserverLaw):
             int(newly_obstructed.sum()), "the platform is too far from its reference"
         )
         plan[obstructed] = np.nan
-        pose, velocity = instant.ahead["pose"], instant.ahead["velocity"]
+        starts = self._starts(instant, planner)
         missing = is_due & ~obstructed
         for rows, part in _without(planner.pending, ~missing):
             assert isinstance(part, Program)  # it was assembled one step before
             missing[rows] = False
-            self._keep(rows, *self.program.solved(part, pose[rows], velocity[rows]), plan, age)
+            self._keep(rows, *self.program.solved(part, starts[rows]), plan, age)
         missing &= ~has_plan(plan)
         for rows in self._together(np.flatnonzero(missing)):
             target = self._target(instant, rows, 0.0)
             robots = _expected(instant, rows)
-            made = self.program.plan(pose[rows], velocity[rows], target, robots=robots)
+            made = self.program.plan(starts[rows], target, robots=robots)
             self._keep(rows, *made, plan, age)
         return replace(
             planner,
@@ -222,6 +261,13 @@ class NonlinearMPC(ObserverLaw):
             out_of_range=np.where(is_due, obstructed, planner.out_of_range),
             pending=_without(planner.pending, is_due),
         )
+
+    def _starts(self, instant: Instant, planner: PlannerState) -> Array:
+        """Pose and derivatives at the starts of plans, (N, given, n): those of the platform, or those of
+        the last plans of a flexible robot, whose springs would swing at each jump."""
+        if self.robot.flexible:
+            return self._motion(instant, planner)[:, : self.program.given]
+        return np.stack([instant.ahead["pose"], instant.ahead["velocity"]], axis=1)
 
     def _keep(self, rows: _Rows, made: Array, reason: str, plan: Array, age: Array) -> None:
         """Writes the plans that were made; the last ones stay where there is none."""
