@@ -26,8 +26,8 @@ class Score:
     """Optimum of the motion [kg]; None if there is none."""
     score: float | None
     """Fraction of the optimum, on robots that are not exactly known times the yardstick; 0 if the policy
-    fails unloaded or raised an error. None for the paper criterion, for single motions under an
-    uncertainty, without these references, and if the computation can be repeated."""
+    fails unloaded or raised an error. None for the paper criterion, without these references, and if the
+    computation can be repeated."""
 
     @property
     def conditions(self) -> Conditions:
@@ -237,12 +237,9 @@ def _values(entry: Sequence[Score]) -> Array | None:
 
 
 def _attainable(row: Row, sticks: Mapping[tuple[str, str], Yardstick]) -> float:
-    """Fraction of the optimum that anybody can hope for; 0 if it is unknown, as for
-    single motions under an uncertainty."""
+    """Fraction of the optimum that anybody can hope for; 0 if it is unknown."""
     uncertainty = row.conditions.uncertainty
     if uncertainty is None:
         return 1.0
     stick = sticks.get((row.conditions.env_id, uncertainty))
-    if stick is None or not row.family:
-        return 0.0
-    return stick.quantile
+    return stick.quantile if stick else 0.0

@@ -14,21 +14,14 @@ from cablebot_gym.evaluation.conditions import Conditions
 
 
 def heading(column: Conditions) -> str:
-    """Conditions of a column: payload model, uncertainty, number of draws and, if it is not
+    """Conditions of a column: payload model, uncertainty, number of robots and, if it is not
     ``task``, the criterion."""
     words = [column.payload_model]
     if column.uncertainty:
-        words.append(column.uncertainty)
-    if column.draws:
-        unit = "robots" if scores.is_main(column) else "draws"
-        words.append(f"{column.draws} {unit}")
+        words += [column.uncertainty, f"{column.draws} robots"]
     if column.criterion == "paper":
-        words.append("paper criterion")
-    text = ", ".join(words)
-    has_fraction = column.uncertainty is None or scores.is_main(column)
-    if column.criterion == "paper" or not has_fraction:
-        text += " [kg]"  # there is no fraction of the optimum
-    return text
+        words.append("paper criterion [kg]")  # there is no fraction of the optimum
+    return ", ".join(words)
 
 
 def motion_title(motion: str, motions: int = 1) -> str:

@@ -79,8 +79,8 @@ def test_random_robots_carry_more_than_with_observing(env_id, seed, payload):
     trajectory = {"name": f"loop-{robot.kind}", "seed": seed}
     options = {"payload": np.repeat([0.0, payload], 3), "uncertainty": "hardware"}
     env = vector(env_id, 6, trajectory=trajectory, payload_known=False, **options)
-    is_within, *_ = rollout(NMPC.factory(robot), env)
-    assert is_within.all()
+    steps = drive(NMPC.factory(robot), env)
+    assert not np.any([step.info["violated"] for step in steps])
 
 
 @pytest.mark.landing
@@ -114,7 +114,7 @@ def test_linearisation_has_the_slopes_of_the_textbook(policies, env_id):
     linear = program.linearised(plan[None], expected(robot))[0]
     values = linear.values + linear.slope @ change.ravel()
     tensions = TENSION * values[:, m:]
-    motion = program.basis(program.instants) @ (plan + change)
+    motion = program.basis(program.instants)[:3] @ (plan + change)
     pull = np.einsum("kmn,km->kn", textbook.jacobian(robot, motion[0]), tensions)
     load = textbook.load(robot, 8.0, *motion)
     assert_allclose(pull, -load, atol=1e-5 * np.abs(load).max())

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.linalg.lapack import dpotrf, dtrtri
 
+from cablebot_baselines.planners.quadratic import BufferedSolver, PlanningError
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
@@ -100,10 +101,6 @@ class ExpectedRobots(_Batch):
     """Strength of each motor as a fraction of the nominal one, (N, m)."""
     disturbance: Array
     """Acceleration by a wrench, (N, n) [m/s², rad/s²]."""
-
-
-class PlanningError(RuntimeError):
-    """The quadratic program has no solution, or the solver failed."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -251,7 +248,7 @@ class HorizonProgram:
             "a": ca.Sparsity.dense(self._rows, variables),
         }
         solver = ca.conic("plan", "daqp", dense, {"error_on_fail": False})
-        self._quadratic = _BufferedSolver(solver)
+        self._quadratic = BufferedSolver(solver)
         self._write_excesses()
 
     def _write_excesses(self) -> None:
@@ -566,44 +563,6 @@ def rigid_equivalent(robot: Robot) -> Robot:
 def has_plan(plans: Array) -> NDArray[np.bool_]:
     """Whether there is a plan, (N,), of plans that are NaN where there is none."""
     return np.asarray(np.isfinite(plans).all(axis=(1, 2)))
-
-
-class _BufferedSolver:
-    """CasADi solver that reads and writes NumPy arrays in place. Matrix conversion would take
-    longer than the solver.
-
-    Args:
-        solver: solver of a quadratic program with dense arguments.
-    """
-
-    def __init__(self, solver: Any) -> None:
-        self._buffer, self._evaluate = solver.buffer()
-        self.inputs: dict[str, Array] = {}
-        """Input arrays by name, column-major. The caller writes to them."""
-        for index in range(solver.n_in()):
-            flat: Any = np.zeros(solver.numel_in(index))
-            if flat.size:
-                self._buffer.set_arg(index, memoryview(flat))
-                name = solver.name_in(index)
-                shape = solver.size_in(index)
-                self.inputs[name] = flat.reshape(shape, order="F")
-        variables: Any = np.zeros(solver.numel_out("x"))
-        self._buffer.set_res(solver.index_out("x"), memoryview(variables))
-        self._variables: Array = variables
-
-    def __call__(self) -> Array:
-        """Solves the program and returns its variables. The next call overwrites them.
-
-        Raises:
-            PlanningError: if CasADi rejects the inputs, or the solver fails.
-        """
-        try:
-            self._evaluate()
-        except RuntimeError as error:
-            raise PlanningError(str(error)) from error
-        if not (self._buffer.stats()["success"] and np.isfinite(self._variables).all()):
-            raise PlanningError("the solver failed")
-        return self._variables
 
 
 def _inverse_factors(matrices: Array) -> Array:
