@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from driving import drive, keeps_limits
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("casadi")
 
@@ -145,6 +145,25 @@ def test_start_of_the_last_part_counts_as_if_known_before(name):
         assert reason == ""
         plans.append(solved)
     assert_allclose(plans[0], plans[1], atol=1e-5)
+
+
+def test_program_of_a_batch_equals_that_alone(policies):
+    """Rounding that depends on the batch grows where a robot swings, and the judge finds other
+    episodes."""
+    program = policies[SPATIAL_ID].program
+    home = np.array(program.robot.home)
+    random = np.random.default_rng(0)
+    plans = home + 1e-3 * random.normal(size=(7, program.points, len(home)))
+    reference = np.tile(home, (7, len(program.instants), 1))
+    target = Target(
+        reference=reference, last_velocity=np.zeros((7, len(home))), error_bounds=ErrorBounds()
+    )
+    robots = expected(program.robot)[np.zeros(7, int)]
+    linear = program.linearised(plans, robots)
+    together = program.assembled(linear, target)
+    for row in range(7):
+        alone = program.assembled(linear[[row]], target[[row]])
+        assert_array_equal(together.gradient[row], alone.gradient[0])
 
 
 # --- fallbacks --------------------------------------------------------------------------------------------------------
