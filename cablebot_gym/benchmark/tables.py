@@ -121,15 +121,6 @@ def task_title(row: Row) -> str:
     return row.motion
 
 
-def best_known_text(row: Row) -> str:
-    """One line about a best known payload."""
-    title = f"{row.conditions.env_id}, {task_title(row)}"
-    if not row.result.get("verified"):
-        reason = row.error or "the replay does not verify the result of the search"
-        return f"{title}: none: {reason}"
-    return f"{title}: {row.result['payload']:.3f} kg"
-
-
 def yardstick_rows(rows: Sequence[Row]) -> list[list[str]]:
     """Head and rows of the table of the yardsticks: that under uncertainty, and the best known payload
     of each motion that has one, as a fraction of its optimum."""

@@ -73,16 +73,16 @@ def benchmark(
         typer.Option(
             metavar="N",
             help="Check the results of the folder --out and stop: every row of a suite is there, and N random "
-            "rows, best known payloads among them, have the same payloads when they are computed again.",
+            "rows, optima among them, have the same payloads when they are computed again.",
         ),
     ] = None,
 ) -> None:
-    """Score policies by their payload over the best known payload, on held-out motions and the
+    """Score policies by their payload over the optimum of the motion, on held-out motions and the
     paper's circle.
 
     The suite ranked makes the leaderboard. Its main number: on each hidden motion, the largest
-    payload that several random robots all carry, as a fraction of the best known payload, on the
-    mean over the motions.
+    payload that several random robots all carry, as a fraction of what a planner can hope for that
+    knows each robot, on the mean over the motions.
 
     A policy that is not shipped with this project runs in a process of its own. Each finished row is
     stored in a file of the results folder. The same command resumes an interrupted benchmark. It

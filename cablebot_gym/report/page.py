@@ -18,7 +18,6 @@ from cablebot_gym.benchmark.ranking import RANKED_MOTIONS
 from cablebot_gym.benchmark.rows import Row, canonical
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.tables import (
-    best_known_text,
     failures,
     heading,
     motion_title,
@@ -32,9 +31,6 @@ from cablebot_gym.report.replay import LEVELS, RATE, Replay, platform_points
 
 SCRIPTS = ("charts.js", "table.js", "scene.js", "page.js")
 """Scripts of the page in order of their dependencies."""
-
-BEST_KNOWN = "best known payload"
-"""Label of a best known payload in the policy column."""
 
 SHOWN_MOTIONS = 5
 """Number of motions of a family whose episodes the page shows."""
@@ -88,13 +84,12 @@ def page_data(
     cells = _Cells(replays)
     indices = {}
     for score in shown_scores(merged):
-        indices[score.row.key] = cells.add_score(score)
+        indices[score.row.key] = cells.add(score)
     boards = scores.leaderboards(merged)
     rows = []
     for board in boards:
         for policy, column in board.entries:
             rows.append(_row(board, policy, column, indices))
-        rows += _best_known_rows(board, merged, cells)
     return {
         "rows": rows,
         "cells": cells.cells,
@@ -115,22 +110,18 @@ class _Cells:
         self.motions: dict[str, dict[str, Any]] = {}
         self._replays = replays
 
-    def add_score(self, score: scores.Score) -> int:
+    def add(self, score: scores.Score) -> int:
         """Adds the row of a score and returns its index."""
+        row = score.row
         label = "DLCC"
         if score.payload is None:
             label = "unloaded"
-        return self.add(score.row, label, _facts(score))
-
-    def add(self, row: Row, label: str, facts: list[list[str]]) -> int:
-        """Adds a row with the label of its payload, and names and texts of its properties. Returns
-        its index."""
         versions = ", ".join(f"{name} {version}" for name, version in row.versions.items())
         data: dict[str, Any] = {
             "title": task_title(row),
             "payload_label": label,
             "code": _code(row),
-            "facts": [*facts, ["Provenance", f"code {row.code}, with {versions}"]],
+            "facts": [*_facts(score), ["Provenance", f"code {row.code}, with {versions}"]],
         }
         replays = self._replays.get(row.key, "")
         if isinstance(replays, str):
@@ -182,31 +173,6 @@ def _row(
     }
 
 
-def _best_known_rows(
-    board: scores.Leaderboard, rows: Sequence[Row], cells: _Cells
-) -> list[dict[str, Any]]:
-    """The rows of the best known payloads of a leaderboard; they are added to ``cells``."""
-    columns: dict[str, Conditions] = {}
-    for column in board.columns:
-        columns.setdefault(column.trajectory["name"], column)
-    optima = scores.optima(rows)
-    shown = []
-    for key, reference in scores.rows_of(rows, "best-known").items():
-        if reference.conditions.env_id != board.env_id or reference.motion not in columns:
-            continue
-        facts = [["Best known payload", best_known_text(reference)]]
-        row = _conditions(board, BEST_KNOWN, columns[reference.motion])
-        row["cells"] = [cells.add(reference, BEST_KNOWN, facts)]
-        row |= {"payload_text": "none", "payload": None, "fraction": None}
-        if reference.result.get("verified"):
-            payload = reference.result["payload"]
-            row |= {"payload_text": f"{payload:.2f}", "payload": payload}
-            if key in optima:
-                row["fraction"] = payload / optima[key]
-        shown.append(row)
-    return shown
-
-
 def _conditions(board: scores.Leaderboard, policy: str, column: Conditions) -> dict[str, Any]:
     motion = column.trajectory["name"]
     return {
@@ -237,40 +203,23 @@ def _violation_text(entry: Sequence[scores.Score]) -> str:
 
 def _code(row: Row) -> str:
     """Python code that computes a row."""
-    if row.measure == "best-known":
-        module = "cablebot_gym.bounds.best_known"
-        name = "find_best_known"
-        lines = [repr(row.conditions.env_id)]
-    else:
-        module = "cablebot_gym.evaluation"
-        name = "evaluate_dlcc"
-        lines = [repr(row.policy), repr(row.conditions.env_id)]
+    lines = [repr(row.policy), repr(row.conditions.env_id)]
     for option, value in {**row.conditions.keywords(), **row.search}.items():
         lines.append(f"{option}={value!r}")
     inner = "".join(f"    {line},\n" for line in lines)
-    return f"import cablebot_gym\nfrom {module} import {name}\n\nprint({name}(\n{inner}))"
+    imports = "import cablebot_gym\nfrom cablebot_gym.evaluation import evaluate_dlcc"
+    return f"{imports}\n\nprint(evaluate_dlcc(\n{inner}))"
 
 
 def _facts(score: scores.Score) -> list[list[str]]:
     """Names and texts of the properties of a score."""
     result = score.result
-    given = score.conditions
     if score.row.error is not None:
         return [["Error", score.row.error]]
     if not score.applicable:
         return []
     intervals = [f"{low:.3f} to {high:.3f} kg" for low, high in result.get("feasible", [])]
     facts = [["Feasible payloads", ", ".join(intervals) or "none; the policy fails unloaded"]]
-    if given.draws:
-        verb = "is not assured to be"
-        if result.get("assured"):
-            verb = "is"
-        bound = "the 95/95 lower tolerance bound"
-        facts.append(["Draws", f"{given.draws}; the payload {verb} {bound}"])
-    if result.get("failures"):
-        failures = result["failures"].items()
-        counts = ", ".join(f"{LIMIT_NAMES[kind]}: {count}" for kind, count in failures)
-        facts.append(["Violations of the draws at a larger payload", counts])
     if score.optimum is not None:
         facts.append(["Optimum of the motion", f"{score.optimum:.3f} kg"])
     return facts
@@ -320,10 +269,8 @@ def _motion(conditions: Conditions) -> dict[str, Any]:
 def _notes(sources: Sequence[Results], rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Titles and lines of the notes below the tables."""
     commands = [f"suite {source.suite}: {source.command}" for source in sources]
-    references = list(map(best_known_text, scores.rows_of(rows, "best-known").values()))
     notes = [
         {"title": "Commands", "lines": commands},
-        {"title": "Best known payloads", "lines": references or ["none in these results"]},
         {"title": "Notes", "lines": failures(rows)},
     ]
     return [note for note in notes if note["lines"]]
@@ -347,7 +294,4 @@ def replay_queries(rows: Sequence[Row]) -> dict[str, Row]:
     for score in shown_scores(rows):
         if score.row.error is None and score.applicable:
             queries[score.row.key] = score.row
-    for row in scores.rows_of(rows, "best-known").values():
-        if row.error is None:
-            queries[row.key] = row
     return queries

@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cablebot_gym.benchmark.rows import Row, policy_process
-from cablebot_gym.bounds.best_known import cached_best_known
 from cablebot_gym.evaluation import batch as batches
-from cablebot_gym.evaluation.rollout import Rollout, record, record_rollout
+from cablebot_gym.evaluation.rollout import Rollout, record
 from cablebot_gym.kinematics import Array
-from cablebot_gym.policies.adapters import OpenLoop
 from cablebot_gym.rendering.moment import ball_radius
 from cablebot_gym.rendering.projection import attached_points
 from cablebot_gym.robots import Robot
@@ -90,8 +88,6 @@ def platform_points(robot: Robot) -> tuple[Array, list[int]]:
 def record_row(row: Row) -> list[Replay] | str:
     """The episodes of a row. An exception becomes an error message; it does not stop the report."""
     try:
-        if row.measure == "best-known":
-            return best_replays(row)
         return replays(row)
     except Exception as error:
         return f"No episode: {' '.join(str(error).split())}"
@@ -121,25 +117,6 @@ def _payloads(dlcc: float | None) -> list[float]:
     if dlcc is None:
         return [0.0]
     return [dlcc, max(EXCESS_FACTOR * dlcc, dlcc + MIN_EXCESS)]
-
-
-def best_replays(row: Row) -> list[Replay]:
-    """The episode of a best known payload: an open-loop replay of its actions.
-
-    Raises:
-        ValueError: if the cache does not contain the actions.
-        ImportError: if CasADi is missing.
-    """
-    env_id = row.conditions.env_id
-    keywords = row.conditions.keywords()
-    result = cached_best_known(env_id, **keywords)
-    if result is None:
-        raise ValueError(
-            "the actions of this best known payload are not in the cache of this machine, or they were computed by "
-            "different code. Run the code under 'How this number is computed' (minutes), then cablebot report again"
-        )
-    policy = OpenLoop(result.actions)
-    return [compress(record_rollout(policy, env_id, payload=result.payload, **keywords))]
 
 
 def compress(rollout: Rollout) -> Replay:

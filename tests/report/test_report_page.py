@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from benchmark.made_rows import asked, carries, fails, optimum, verified
+from benchmark.made_rows import asked, carries, fails, optimum
 
 from cablebot_gym.benchmark.rows import compute
 from cablebot_gym.benchmark.store import Results
@@ -21,7 +21,6 @@ def carried(policy, payload, **conditions):
 
 ROWS = [
     optimum(2.5),
-    verified(2.45),
     *(optimum(4.0, motion) for motion in LOOPS),
     carried("adaptive", 1.7),
     carried("fl", 1.9),
@@ -69,7 +68,7 @@ def test_page_has_title_and_data_as_text(tmp_path, capsys):
 def written(tmp_path_factory):
     """A page with episodes of true payloads."""
     folder = tmp_path_factory.mktemp("page")
-    questions = [asked("best-known"), asked(policy="fl"), asked(policy="adaptive")]
+    questions = [asked(policy="fl"), asked(policy="adaptive")]
     known = [row for question in questions for row in compute([question])]
     keys = {row.key for row in known}
     made_up = [row for row in ROWS if row.key not in keys]
@@ -118,19 +117,19 @@ def policies(page):
 @pytest.mark.landing
 def test_table_sorts_and_filters(opened):
     page = opened()
-    assert policies(page) == ["best known payload", "fl", "adaptive", "nobody</script>"]
+    assert policies(page) == ["fl", "adaptive", "nobody</script>"]
     fraction = page.locator("#leaderboard-table th", has_text="fraction")
     fraction.locator("button").click()
     # an error counts as zero
-    assert policies(page) == ["nobody</script>", "adaptive", "fl", "best known payload"]
+    assert policies(page) == ["nobody</script>", "adaptive", "fl"]
     assert fraction.get_attribute("aria-sort") == "ascending"
-    page.select_option("#filter-condition", "payload known, table6, 512 draws")
+    page.select_option("#filter-condition", "payload known, table6, 512 robots")
     assert policies(page) == ["fl"]
     page.select_option("#filter-condition", "")
     page.select_option("#filter-motion", "2 held-out motions")
     assert page.locator("#leaderboard-table .text").nth(0).get_attribute("title") == "38%"
     page.select_option("#filter-motion", "")
-    assert page.inner_text("#count") == "6 of 6 rows"
+    assert page.inner_text("#count") == "5 of 5 rows"
     page.fill("#filter-policy", "ADAP")
     assert policies(page) == ["adaptive"]
 
@@ -190,14 +189,11 @@ def test_larger_payload_shows_the_violation_and_marks_its_time(opened):
 
 
 @pytest.mark.landing
-@pytest.mark.parametrize(("row", "payload"), [("fl", 1.91), ("best known payload", 2.85)])
-def test_recipe_computes_the_number(opened, row, payload):
+def test_recipe_computes_the_number(opened):
     page = opened()
-    page.locator("#leaderboard-table tbody button", has_text=row).click()
-    page.wait_for_function(
-        f"document.getElementById('verdict').textContent === '{payload} kg: carried'"
-    )
+    page.locator("#leaderboard-table tbody button", has_text="fl").click()
+    page.wait_for_function("document.getElementById('verdict').textContent === '1.91 kg: carried'")
     page.click("summary:has-text('How this number is computed')")
     results = []
     exec(page.inner_text("#recipe pre"), {"print": results.append})
-    assert results[0].payload == pytest.approx(payload, abs=5e-3)
+    assert results[0].payload == pytest.approx(1.91, abs=5e-3)

@@ -6,7 +6,7 @@ const COLUMNS = [
   { key: "motion", title: "motion", optional: true },
   { key: "condition", title: "conditions", optional: true },
   { key: "payload", title: "payload [kg]", number: true },
-  { key: "fraction", title: "fraction of the best known payload", number: true },
+  { key: "fraction", title: "fraction of the optimum", number: true },
   { key: "violation", title: "limiting violation", optional: true },
 ];
 
@@ -44,7 +44,7 @@ function makeLeaderboard(rows, openRow) {
   }
 
   function compare(one, other) {
-    // Rows without a best known payload have no fraction and are sorted by payload.
+    // Rows without an optimum have no fraction and are sorted by payload.
     const key = state.sort === "fraction" && one.fraction === null && other.fraction === null ? "payload" : state.sort;
     const a = one[key], b = other[key];
     if (a === null || b === null) return (a === null) - (b === null);  // missing numbers come last in both directions
