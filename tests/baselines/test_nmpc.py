@@ -12,7 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("casadi")
 
 from cablebot_baselines.planners.horizon import ExpectedRobots, HorizonProgram, Target
-from cablebot_baselines.planners.nmpc import NMPC, TUNING, NonlinearMPC
+from cablebot_baselines.planners.horizon_tuning import TUNING
+from cablebot_baselines.planners.nmpc import NMPC, NonlinearMPC
 from cablebot_gym.env_ids import ENV_ROBOTS
 from cablebot_gym.physics import textbook
 from cablebot_gym.planning.stage_functions import TENSION
@@ -220,8 +221,6 @@ def test_last_plan_bridges_failures_until_its_end(failing):
 
 def test_motors_with_a_lag_and_elastic_cables_raise():
     with pytest.raises(ValueError, match="motors without lag"):
-        HorizonProgram(
-            PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)), TUNING["rigid"]["planar"]
-        )
+        NonlinearMPC(PLANAR.replace(motors=PLANAR.motors.replace(lag=0.01)))
     with pytest.raises(ValueError, match="rigid cables"):
         NonlinearMPC(find_robot("flex-stadium-camera"))

@@ -72,13 +72,16 @@ def test_overloaded_cable_fails_a_rehearsal():
 
 @pytest.fixture
 def search(monkeypatch):
-    """A function that searches among given plans, each with the same rehearsal; None is infeasible."""
+    """A function that searches among given plans; None is infeasible. The last rehearsal repeats."""
 
-    def found(plans, episodes):
+    def found(plans, *rehearsals):
         first, *others = plans
+        coming = list(rehearsals)
         program = Mock(**{"resolve.side_effect": [other or Infeasible("none") for other in others]})
         planner = Mock(**{"first.return_value": (program, first)})
-        monkeypatch.setattr(rehearsed, "rehearse", lambda *_: [episodes])
+        monkeypatch.setattr(
+            rehearsed, "rehearse", lambda *_: [coming.pop(0) if len(coming) > 1 else coming[0]]
+        )
         (plan,) = find_plans([PlanSearch(planner, TASK, find_uncertainty("hardware", TASK.robot))])
         return plan
 
@@ -95,11 +98,16 @@ def test_plan_that_misses_the_reserves_is_better_than_none(search, error, is_pla
     assert search([motion] * 4, episodes) == (motion if is_planned else None)
 
 
-@pytest.mark.parametrize("later", [[None, None, None], [None, Mock(payload=1.5), None]])
-def test_first_plan_stays_where_larger_margins_leave_none(search, later):
+def test_first_plan_stays_where_larger_margins_leave_none(search):
     """Motions without a further plan had none at all, and failed unloaded."""
     first = Mock(payload=2.0)
-    assert search([first, *later], rehearsal([0, 2])) is first
+    assert search([first, None, None, None], rehearsal([0, 2])) is first
+
+
+def test_plan_with_half_the_margins_follows_one_that_is_infeasible(search):
+    first, later = Mock(payload=2.0), Mock(payload=1.5)
+    failed = rehearsal([0, 2], position=np.full((2, 200), 0.02))
+    assert search([first, None, later], failed, rehearsal([0, 1.5])) is later
 
 
 def test_jump_that_comes_a_period_later_needs_no_margin():

@@ -53,8 +53,8 @@ one."""
 START = 0.5
 """Payload with which the filter starts if it is unknown, as a fraction of the largest possible one. A
 platform that is heavier than expected sags and turns. A point mass does not turn, and one on springs
-that is lighter than the rotors weighs little: they start unloaded, because a mass that is lighter
-than expected rises, and the law that stops it slackens redundant cables."""
+that is lighter than the rotors hardly sags: they start unloaded. A mass below the expected one rises,
+and the law that stops it slackens redundant cables."""
 
 _AHEAD_STEPS = 4
 """Number of steps in which the motion of a flexible robot is predicted until an action takes

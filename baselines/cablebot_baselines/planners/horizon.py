@@ -13,14 +13,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.linalg.lapack import dpotrf, dtrtri
 
-from cablebot_baselines.planners.quadratic import BufferedSolver, PlanningError
+from cablebot_baselines.planners.horizon_tuning import Tuning
+from cablebot_baselines.planners.quadratic import (
+    BufferedSolver,
+    PlanningError,
+    inverse_and_null_space,
+    inverse_factors,
+)
 from cablebot_gym.kinematics import Array
 from cablebot_gym.physics import textbook
 from cablebot_gym.physics.inverse import demands, inverse_dynamics
 from cablebot_gym.physics.textbook import times_vector
-from cablebot_gym.planning import Margins
 from cablebot_gym.planning.stage_functions import TENSION, check_model, import_casadi
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds
@@ -33,7 +37,8 @@ _DEGREE = {"rigid": 3, "flexible": 5}
 """Degree of the spline, by joints of the robot: a flexible one needs jerk and snap."""
 
 _GIVEN = {"rigid": 2, "flexible": 4}
-"""Number of derivatives, from the pose on, that the start of a plan gives."""
+"""Number of derivatives at the start of a plan that are given, the pose among them: up to the velocity,
+or up to the jerk."""
 
 _TIME_SCALE = 0.25
 """Time that scales velocities (bound per time) and accelerations (bound per time²), as a fraction of
@@ -52,32 +57,6 @@ _ACTION_EXCESS_WEIGHT = 100.0
 
 _ERROR_EXCESS_WEIGHT = 1000.0
 """Weight of the largest constraint violation of errors, in units of their bounds."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Tuning:
-    """Discretisation and objective weights of a plan. Errors are in units of their bounds, actions
-    in units of ±1."""
-
-    intervals: int
-    """Number of spline intervals."""
-    instants: int
-    """Number of instants of each interval at which the constraints apply."""
-    margins: Margins
-    """Margins to the constraints, which the tracking law uses to correct errors."""
-    action_exponent: float
-    """p ≥ 2 of the objective, the mean of aᵖ over motors and instants. A larger p penalises peaks
-    more."""
-    error_weight: float
-    """Weight of the mean square error."""
-    end_error_weight: float
-    """Weight of the squared error at the end of the horizon; the reference after it is unknown."""
-    end_velocity_weight: float
-    """Weight of the squared velocity error at the end of the horizon, in bounds per
-    time scale."""
-    smoothness_weight: float = 1e-6
-    """Weight of the sum of squared acceleration steps between instants, in bounds per squared time
-    scale. Springs swing after large ones."""
 
 
 class _Batch:
@@ -135,8 +114,8 @@ class Linearisation(_Batch):
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Program(_Batch):
     """Quadratic programs for the changes of N plans whose starts are not yet given: ``½ w'w + (g + G
-    s)'w`` subject to ``A w ≤ b − B s``, with the change s of the control points that are given. The excesses
-    are not part of w here. NaN where a program has no solution."""
+    s)'w`` subject to ``A w ≤ b − B s``, with the change s of the control points at the start. The
+    excesses are not part of w here. NaN where a program has no solution."""
 
     plan: Array
     """Control points, (N, points, n)."""
@@ -174,8 +153,8 @@ class _Fixed:
 
 
 class HorizonProgram:
-    """Plans X(t) for t from 0 to :attr:`horizon` from a given state, as a cubic spline with evenly
-    spaced knots.
+    """Plans X(t) for t from 0 to :attr:`horizon` from a given start, as a spline with evenly spaced
+    knots.
 
     Each iteration linearises the robot about the last plan and solves one quadratic program for the
     control points. If the robot has more cables than coordinates, the null-space tensions are free
@@ -183,7 +162,7 @@ class HorizonProgram:
     exists from every state. The Gauss–Newton method treats aᵖ as the square of a^(p/2).
 
     Args:
-        robot: rigid robot.
+        robot: robot; joint springs count as stiff.
         tuning: discretisation and objective weights.
 
     Raises:
@@ -195,7 +174,7 @@ class HorizonProgram:
         ca = import_casadi()
         check_model(robot)
         self.given = _GIVEN[robot.joints]
-        """Number of derivatives, from the pose on, that the start of a plan gives."""
+        """Number of derivatives at the start of a plan that are given, the pose among them."""
         self._degree = _DEGREE[robot.joints]
         self.robot = robot = rigid_equivalent(robot)
         self.tuning = tuning
@@ -316,7 +295,7 @@ class HorizonProgram:
         masses[...] = expected.mass[:, None]
         demand = demands(robot, masses, varied)
         structure = np.swapaxes(demand.structure, -1, -2)
-        inverse, null_space = _inverse_and_null_space(structure[0])
+        inverse, null_space = inverse_and_null_space(structure[0])
         tensions = self._tensions_of_plan(masses[0], motion, demand.load[0], inverse)
         imbalance = demand.load + times_vector(structure, tensions)
         torques = textbook.motor_torques(robot, 0.0, demand.speeds, demand.pulley_accelerations)
@@ -396,7 +375,7 @@ class HorizonProgram:
         hessian += np.swapaxes(power_slope, 1, 2) @ power_slope
         gradient += times_vector(np.swapaxes(power_slope, 1, 2), powers)
         free = self._free
-        unwhitened = _inverse_factors(hessian[:, free, free])
+        unwhitened = inverse_factors(hessian[:, free, free])
         return Program(
             plan=linearisation.plan,
             whitening=np.swapaxes(unwhitened, 1, 2),
@@ -563,34 +542,3 @@ def rigid_equivalent(robot: Robot) -> Robot:
 def has_plan(plans: Array) -> NDArray[np.bool_]:
     """Whether there is a plan, (N,), of plans that are NaN where there is none."""
     return np.asarray(np.isfinite(plans).all(axis=(1, 2)))
-
-
-def _inverse_factors(matrices: Array) -> Array:
-    """L⁻¹ with LLᵀ of symmetric matrices (N, size, size); NaN if one is not positive definite."""
-    inverses = np.full_like(matrices, np.nan)
-    for inverse, matrix in zip(inverses, matrices, strict=True):
-        factor, failed = dpotrf(matrix, lower=1)
-        if not failed:
-            inverse[:], _ = dtrtri(factor, lower=1)
-    return inverses
-
-
-def _inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
-    """Pseudoinverses (N, K, m, n) and null spaces (N, K, m, m − n) of matrices (N, K, n, m); NaN for a
-    robot with a singular square matrix, or with a number that is not finite."""
-    *_, n, m = forces.shape
-    is_finite: NDArray[np.bool_] = np.asarray(np.isfinite(forces).all(axis=(1, 2, 3)))
-    if n == m:
-        is_finite &= (np.linalg.det(forces) != 0).all(axis=1)
-    safe = np.where(is_finite[:, None, None, None], forces, np.eye(n, m))
-    if n == m:
-        inverse = np.linalg.inv(safe)
-        null_space = np.zeros((*safe.shape[:2], m, 0))
-    else:
-        left, singular_values, right = np.linalg.svd(safe)
-        right = np.swapaxes(right, -1, -2)
-        left = np.swapaxes(left / singular_values[..., None, :], -1, -2)
-        inverse = right[..., :n] @ left
-        null_space = right[..., n:]
-    inverse[~is_finite] = np.nan
-    return inverse, null_space

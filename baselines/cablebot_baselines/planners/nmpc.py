@@ -24,10 +24,9 @@ from cablebot_baselines.planners.horizon import (
     Linearisation,
     Program,
     Target,
-    Tuning,
     has_plan,
 )
-from cablebot_gym.planning import Margins
+from cablebot_baselines.planners.horizon_tuning import TUNING
 from cablebot_gym.robots import Robot
 from cablebot_gym.task import ErrorBounds, Task
 from cablebot_gym.uncertainty import find_uncertainty
@@ -39,54 +38,6 @@ STEPS_PER_PLAN = 5
 
 _LINEARISING = STEPS_PER_PLAN - 2
 """Control step after a plan in which the next plan begins."""
-
-_SPATIAL = Tuning(
-    intervals=7,
-    instants=3,
-    margins=Margins(position=5e-4, rotation=1.2e-3, action=0.002, tension=9.0),
-    action_exponent=3.0,
-    error_weight=0.3,
-    end_error_weight=0.3,
-    end_velocity_weight=3.0,
-)
-
-_PLANAR = Tuning(
-    intervals=10,
-    instants=2,
-    margins=Margins(position=7e-4, action=0.005, tension=3.5),
-    action_exponent=4.0,
-    error_weight=0.1,
-    end_error_weight=0.0,
-    end_velocity_weight=1.0,
-)
-
-_PLATFORM = replace(
-    _SPATIAL,
-    margins=Margins(position=8e-4, rotation=5e-3, action=0.03, tension=3.0),
-    action_exponent=6.0,
-)
-
-_SPRINGS = 1e-3
-"""Smoothness weight of the plans of flexible robots."""
-
-TUNING = {
-    "rigid": {"planar": _PLANAR, "spatial": _SPATIAL, "planar-platform": _PLATFORM},
-    "flexible": {
-        "planar": replace(
-            _PLANAR,
-            margins=Margins(position=1e-3, action=0.02, tension=7.0),
-            end_error_weight=0.3,
-            end_velocity_weight=3.0,
-            smoothness_weight=_SPRINGS,
-        ),
-        "spatial": replace(
-            _SPATIAL,
-            margins=Margins(position=1.2e-3, rotation=1.5e-3, action=0.03, tension=3.0),
-            smoothness_weight=_SPRINGS,
-        ),
-    },
-}
-"""Tuning by joints and kind of the robot, found on random loops for training."""
 
 PAYLOAD_OF_PLANS = 1.6
 """Largest payload of a plan within the error bounds, as a multiple of that with which the motors can
@@ -127,19 +78,19 @@ class PlannerState:
 
 
 class NonlinearMPC(ObserverLaw):
-    """Plans the next 100 control periods at every fifth control step and tracks the plan at every step.
+    """Plans the next control periods every :data:`STEPS_PER_PLAN` control steps and tracks the plan at every step.
 
-    The plan of a rigid robot starts from the state that the observer expects at the instant at which the action takes
-    effect. All plans stay within the error bounds and need small motor actions, see
-    :class:`~cablebot_baselines.planners.horizon.Tuning`. It is a plan for the estimated mass,
-    strengths of the motors and wrench. Each plan is one iteration from the one before, a real-time
-    iteration: of the control steps before the plan, one linearises the robot and the next assembles
-    the quadratic program. That of the plan solves it for the measured state. Without a plan before,
-    one step makes the plan.
+    A plan of a rigid robot starts from the state that the observer expects at the instant at which the
+    action takes effect. It stays within the error bounds and needs small motor actions, see
+    :class:`~cablebot_baselines.planners.horizon_tuning.Tuning`, for the estimated mass, strengths of
+    the motors and wrench. Each plan is one iteration from the one before, a real-time iteration: of
+    the control steps before the plan, one linearises the robot and the next assembles the quadratic
+    program. That of the plan solves it for the measured state. Without a plan before, one step makes
+    the plan.
 
-    On a robot with joint springs, a plan starts from the one before: its pose, velocity, acceleration
-    and jerk have no jumps, after which the springs would swing. Plans are for stiff springs. The law that
-    tracks them moves the motors as the springs demand, and corrects the errors of the platform.
+    On joint springs a plan starts from the one before: pose, velocity, acceleration and jerk have no
+    jumps, after which the springs would swing. It is a plan for stiff springs. The law that tracks it
+    moves the motors as the springs demand, and corrects the errors of the platform.
 
     If the solver fails, the controller tracks the last plan until its end, and then the reference
     itself. If the platform is too far from the reference to plan, the controller also tracks the
@@ -178,8 +129,9 @@ class NonlinearMPC(ObserverLaw):
         """
         super().reset(tasks)
         self.fallbacks = 0
-        stiffness = RobustDesign.usual(self.expectation, tasks[0]).stiffness
-        self._correction = PD(gains=(stiffness**2, 2 * stiffness))
+        if self.robot.flexible:
+            stiffness = RobustDesign.usual(self.expectation, tasks[0]).stiffness
+            self._correction = PD(gains=(stiffness**2, 2 * stiffness))
 
     def reference(self, instant: Instant, memory: Any) -> tuple[dict[str, Array], PlannerState]:
         """The plans at the instant at which the action takes effect in place of the reference, and

@@ -1,10 +1,12 @@
-"""Solver of quadratic programs that are solved one after the other, thousands of times."""
+"""Linear algebra of many small quadratic programs, and their solver."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf, dtrtri
 
 from cablebot_gym.kinematics import Array
 
@@ -49,3 +51,34 @@ class BufferedSolver:
         if not (self._buffer.stats()["success"] and np.isfinite(self._variables).all()):
             raise PlanningError("the solver failed")
         return self._variables
+
+
+def inverse_factors(matrices: Array) -> Array:
+    """L⁻¹ with LLᵀ of symmetric matrices (N, size, size); NaN if one is not positive definite."""
+    inverses = np.full_like(matrices, np.nan)
+    for inverse, matrix in zip(inverses, matrices, strict=True):
+        factor, failed = dpotrf(matrix, lower=1)
+        if not failed:
+            inverse[:], _ = dtrtri(factor, lower=1)
+    return inverses
+
+
+def inverse_and_null_space(forces: Array) -> tuple[Array, Array]:
+    """Pseudoinverses (N, K, m, n) and null spaces (N, K, m, m − n) of matrices (N, K, n, m); NaN for a
+    robot with a singular square matrix, or with a number that is not finite."""
+    *_, n, m = forces.shape
+    is_finite: NDArray[np.bool_] = np.asarray(np.isfinite(forces).all(axis=(1, 2, 3)))
+    if n == m:
+        is_finite &= (np.linalg.det(forces) != 0).all(axis=1)
+    safe = np.where(is_finite[:, None, None, None], forces, np.eye(n, m))
+    if n == m:
+        inverse = np.linalg.inv(safe)
+        null_space = np.zeros((*safe.shape[:2], m, 0))
+    else:
+        left, singular_values, right = np.linalg.svd(safe)
+        right = np.swapaxes(right, -1, -2)
+        left = np.swapaxes(left / singular_values[..., None, :], -1, -2)
+        inverse = right[..., :n] @ left
+        null_space = right[..., n:]
+    inverse[~is_finite] = np.nan
+    return inverse, null_space
