@@ -9,6 +9,6 @@ observation, info = env.reset(seed=0)
 observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
 print(f"{observation.size} numbers observed, {env.action_space.shape[0]} motors")
 
-for policy in ("fl", "adaptive", "learned-plan"):
+for policy in ("fl", "observing", "learned-plan"):
     result = evaluate_dlcc(policy, "CableBot-Spatial-v0")
     print(f"{policy} carries {result.payload:.2f} kg, then the {result.violation_text}")

@@ -12,7 +12,7 @@ UNCERTAINTY = {
 }
 
 if __name__ == "__main__":
-    laws = ("fl", "fl:gains=tuned", "adaptive")
+    laws = ("fl", "fl:gains=tuned", "observing")
     compared = compare_policies(
         laws, "CableBot-Spatial-v0", payload=2.0, uncertainty=UNCERTAINTY, draws=16
     )
@@ -20,7 +20,7 @@ if __name__ == "__main__":
         print(f"{one.policy}: {one.carried.mean():.0%} of the draws carry 2 kg")
     print(
         evaluate_dlcc(
-            "adaptive",
+            "observing",
             "CableBot-Spatial-v0",
             uncertainty=UNCERTAINTY,
             draws=8,

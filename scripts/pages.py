@@ -235,7 +235,7 @@ def _of_leaderboard(results: Results) -> dict[str, Any]:
     best = spatial.policies[0]
     entries = policy_entries()
     learned = next(name for name in spatial.policies if entries[name].kind == "learned")
-    fractions = {"best": best, "adaptive": "adaptive", "learned": learned}
+    fractions = {"best": best, "observing": "observing", "learned": learned}
     texts = {}
     for name, policy in fractions.items():
         fraction = spatial.fraction(policy, column)

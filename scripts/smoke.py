@@ -97,7 +97,7 @@ def check_extras() -> None:
         for arguments in (
             "train CableBot-Planar-v0 --timesteps 1 --out run",
             "dlcc CableBot-Planar-v0 --policy run/policy.zip --resolution 0.5 --out figures",
-            "benchmark --suite smoke --policies fl,adaptive --out benchmark",
+            "benchmark --suite smoke --policies fl,observing --out benchmark",
         ):
             subprocess.run(
                 [program, *arguments.split()], check=True, cwd=folder, stdout=subprocess.DEVNULL

@@ -27,8 +27,8 @@ def first_steps(printed, folder):
 
 def ten_lines(printed, folder):
     """A learned policy beats the laws."""
-    laws, adaptive, learned = (float(line.split()[2]) for line in printed.splitlines()[1:])
-    assert laws < adaptive < learned
+    laws, observing, learned = (float(line.split()[2]) for line in printed.splitlines()[1:])
+    assert laws < observing < learned
 
 
 def your_controller(printed, folder):
@@ -70,8 +70,8 @@ def many_at_once(printed, folder):
 
 def what_if_it_is_heavier(printed, folder):
     """An estimate of the payload helps."""
-    fl, _, adaptive = numbers(FRACTION, printed)
-    assert adaptive > fl
+    fl, _, observing = numbers(FRACTION, printed)
+    assert observing > fl
 
 
 def record_a_video(printed, folder):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,6 @@ from cablebot_gym.benchmark.scores import (
 from cablebot_gym.benchmark.store import Results
 from cablebot_gym.benchmark.suites import find_suite
 from cablebot_gym.benchmark.yardstick import PROBABILITY
-from cablebot_gym.evaluation import evaluate_dlcc
 
 _INTRODUCTION = """# Leaderboard
 
@@ -38,9 +36,7 @@ def markdown(results: Results) -> str:
     yardsticks = tables.yardstick_rows(rows)
     if len(yardsticks) > 1:
         text += f"\n## Yardsticks, as fractions of the optimum\n\n{_table(yardsticks)}"
-    text += _notes_text(rows, boards)
-    if results.seed_text is not None:
-        text += _hidden_text(results.seed_text)
+    text += _notes_text(rows)
     # suite, command and versions that all results have
     common = _common(_versions(rows))
     versions = ", ".join(f"{name} {version}" for name, version in common.items())
@@ -48,7 +44,7 @@ def markdown(results: Results) -> str:
     origin = (
         f"Suite `{results.suite}` ({summary}), computed by `{results.command}` with {versions}."
     )
-    return f"{text}\n{_definitions(rows)}\n{origin}\n"
+    return f"{text}\n{_definitions(results, boards)}\n{origin}\n"
 
 
 def _main_text(boards: Sequence[Leaderboard]) -> str:
@@ -75,26 +71,21 @@ def _common(sets: Sequence[Mapping[str, str]]) -> dict[str, str]:
     return common
 
 
-def _notes_text(rows: Sequence[Row], boards: Sequence[Leaderboard]) -> str:
-    notes = list(map(_escaped, tables.failures(rows)))
-    notes += map(_escaped, tables.left_out(rows))
-    processors = set()
-    for board in boards:
-        processors |= {str(timing["processor"]) for timing in board.timings.values()}
-    if processors:
-        notes.append(f"computing times were measured on: {', '.join(sorted(processors))}")
+def _notes_text(rows: Sequence[Row]) -> str:
+    notes = [*map(_escaped, tables.failures(rows)), *map(_escaped, tables.left_out(rows))]
     if not notes:
         return ""
     return "\n## Notes\n\n" + "".join(f"* {note}\n" for note in notes)
 
 
-def _definitions(rows: Sequence[Row]) -> str:
-    """Definitions with the error bounds of the rows and the probability of an evaluation."""
-    payloads = [row for row in rows if row.measure == "payload"]
+def _definitions(results: Results, boards: Sequence[Leaderboard]) -> str:
+    """Definitions, with what the results have: error bounds, seeds and processors."""
+    payloads = [row for row in results.rows if row.measure == "payload"]
     path = files("cablebot_gym.benchmark") / "leaderboard_definitions.md"
     return path.read_text(encoding="utf-8").format(
         bounds=_bounds_text(payloads),
-        probability=inspect.signature(evaluate_dlcc).parameters["probability"].default,
+        seeds=_seeds_text(results.seed_text),
+        processors=_processors_text(boards),
         confidence=CONFIDENCE,
         ranked=RANKED_MOTIONS,
         quantile=PROBABILITY,
@@ -115,15 +106,19 @@ def _bounds_text(rows: Sequence[Row]) -> str:
     return "; ".join(f"{text} ({', '.join(env_ids)})" for text, env_ids in environments.items())
 
 
-def _hidden_text(seed_text: str) -> str:
-    return f"""
-## Hidden motions
+def _seeds_text(seed_text: str | None) -> str:
+    if seed_text is None:
+        return ""
+    return f""" Their seeds and the evaluation seed follow by SHA-256 from the text
+  `{json.dumps(seed_text, ensure_ascii=False)}`.
+  It is new at every release: policies may have been tuned on the motions of earlier ones."""
 
-The hidden motions of each environment and the evaluation seed follow by SHA-256 from the text
-`{json.dumps(seed_text, ensure_ascii=False)}`.
-The text is new at every release: policies may have been tuned on the motions of earlier ones. That no other text was
-tried, and that the payloads were computed, it does not show: `cablebot benchmark --check N` computes random rows again.
-"""
+
+def _processors_text(boards: Sequence[Leaderboard]) -> str:
+    processors = set()
+    for board in boards:
+        processors |= {str(timing["processor"]) for timing in board.timings.values()}
+    return f" Measured on: {', '.join(sorted(processors))}." if processors else ""
 
 
 def _versions(rows: Sequence[Row]) -> list[Mapping[str, str]]:

@@ -53,7 +53,7 @@ def compare(
 
     cablebot compare CableBot-Spatial-v0 --policies fl,robust --uncertainty table6 --payload 1 --out results
 
-    cablebot compare CableBot-Spatial-v0 --policies fl,robust,adaptive --payload 0:9:0.5 --out results
+    cablebot compare CableBot-Spatial-v0 --policies fl,robust,observing --payload 0:9:0.5 --out results
     """
     from cablebot_gym.evaluation.comparison import (
         PayloadComparison,

@@ -68,7 +68,7 @@ def dlcc(
 
     cablebot dlcc CableBot-Spatial-v0 --policy fl:gains=tuned --uncertainty table6
 
-    cablebot dlcc --policy fl,robust,adaptive --robot cogiro
+    cablebot dlcc --policy fl,robust,observing --robot cogiro
     """
     env_id = options.fitting_id(env_id, conditions.robot)
     names = list(dict.fromkeys(options.split_names(policy)))

@@ -335,7 +335,7 @@ def loaded_policies(
 
 def split_names(text: str | None) -> list[str]:
     """Names from a list separated by commas. A comma before ``option=`` is part of a name:
-    ``fl:gains=tuned,minimum_tension=3,adaptive`` has two."""
+    ``fl:gains=tuned,minimum_tension=3,observing`` has two."""
     names = re.split(r",(?!\s*\w+=)", text or "")
     return [name.strip() for name in names if name.strip()]
 

@@ -26,8 +26,7 @@ SCAN_JITTER = 0.25
 """Largest random shift of a payload of the scan, as a fraction of the distance between payloads."""
 
 DENSE_POINTS = SCAN_POINTS
-"""Number of random payloads in the dense check with one draw. With several draws, each draw tries
-one."""
+"""Number of random payloads in the dense check with one draw."""
 
 REFINED_POINTS = 32
 """Largest number of payloads in a refinement."""
@@ -71,8 +70,9 @@ class SearchPlan:
     """Largest gap to the least failed payload [kg]."""
     refined_points: int
     """Largest number of payloads in a refinement."""
-    has_dense: bool = True
-    """Whether to try random payloads below the result."""
+    dense_points: int = DENSE_POINTS
+    """Number of random payloads below the result that one draw tries; several draws try one each. None
+    are tried if it is zero."""
     repeated: int = 0
     """Largest number of episodes of the scan that are repeated."""
     weak_first: bool = False
@@ -105,7 +105,7 @@ class MotionSearch:
         self._rng = rng
         self._trials: dict[float, Trial] = {}
         self._weak: dict[int, None] = {}
-        self._dense_due = plan.has_dense
+        self._dense_due = plan.dense_points > 0
         self._repeated: list[int] = []
         # what the last question asked for
         self._payloads = self.grid
@@ -250,9 +250,13 @@ class MotionSearch:
             return []
         self._dense_due = False
         seeds = self.plan.seeds
-        if len(seeds) == 1:
-            seeds = seeds * DENSE_POINTS
-        payloads = self._rng.uniform(0.0, below.payload, len(seeds)).tolist()
+        if len(seeds) > 1:
+            fractions = self._rng.uniform(size=len(seeds))
+        else:  # one in each of equal parts leaves no wide gap
+            count = self.plan.dense_points
+            seeds = seeds * count
+            fractions = (np.arange(count) + self._rng.uniform(size=count)) / count
+        payloads = (fractions * below.payload).tolist()
         return [
             EpisodeSpec(payload, seed, self.motion)
             for payload, seed in zip(payloads, seeds, strict=True)

@@ -26,6 +26,7 @@ from cablebot_gym.evaluation.batch import (
 )
 from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.evaluation.motion_search import (
+    DENSE_POINTS,
     REFINED_POINTS,
     SCAN_POINTS,
     MotionSearch,
@@ -140,7 +141,7 @@ class Search:
             scan_required=max(1, math.ceil(len(scan_seeds) * probability - 1e-9)),
             resolution=resolution,
             refined_points=refined_points,
-            has_dense=is_scan,
+            dense_points=DENSE_POINTS if is_scan else 0,
             repeated=repeated,
         )
         self._motion = MotionSearch(plan, payload_max, self._rng)

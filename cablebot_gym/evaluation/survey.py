@@ -27,7 +27,6 @@ from cablebot_gym.evaluation.conditions import Conditions
 from cablebot_gym.evaluation.evaluator import default_payload_max
 from cablebot_gym.evaluation.judge import Verdict, Violation
 from cablebot_gym.evaluation.motion_search import (
-    REFINED_POINTS,
     MotionSearch,
     SearchPlan,
     find_brackets,
@@ -52,6 +51,10 @@ RESOLUTION = 0.002
 
 NOMINAL_RESOLUTION = 0.0002
 """Default gap without uncertainty, as a fraction of the end of the scan."""
+
+NOMINAL_POINTS = 4
+"""Number of payloads in a refinement without uncertainty. Few episodes and several rounds suit policies
+whose actions take long to compute."""
 
 REPEATED = STOCHASTIC_ALONE
 """Number of carried episodes that are repeated in other company; alone, in a process of its own, for a
@@ -194,19 +197,15 @@ def _searches(
     for index, (task, seed) in enumerate(zip(batch.tasks, seeds, strict=True)):
         end = default_payload_max(conditions.nominal_robot, task.trajectory, conditions.bounds)
         robot_seeds = tuple(draw_seeds(seed, robots))
-        scan_seeds = robot_seeds
-        refined_points = REFINED_POINTS
-        if robots > 1:
-            refined_points = 1
-            scan_seeds = robot_seeds[:SCAN_ROBOTS]
         plan = SearchPlan(
             points=SURVEY_POINTS,
-            scan_seeds=scan_seeds,
+            scan_seeds=robot_seeds[:SCAN_ROBOTS],
             seeds=robot_seeds,
             required=robots,
-            scan_required=len(scan_seeds),
+            scan_required=min(robots, SCAN_ROBOTS),
             resolution=resolution * end,
-            refined_points=refined_points,
+            refined_points=1 if robots > 1 else NOMINAL_POINTS,
+            dense_points=2 * SURVEY_POINTS,
             weak_first=True,
         )
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4,)))

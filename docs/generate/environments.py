@@ -136,7 +136,9 @@ def _policies(env_id: str) -> str:
     boards = [board for board in all_leaderboards() if board.env_id == env_id]
     if not boards:
         return "The [leaderboard](/leaderboard.md) has no board for this environment yet.\n"
-    text = "Payload [kg] and its fraction of the best known payload, from the [leaderboard](/leaderboard.md).\n"
+    text = (
+        "Payload [kg] and its fraction of the optimum, from the [leaderboard](/leaderboard.md).\n"
+    )
     for board in boards:
         text += f"\n{markdown_table(leaderboard_rows(board))}"
     return text

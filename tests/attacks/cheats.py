@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cablebot_baselines.laws import ADAPTIVE, FeedbackLinearization
+from cablebot_baselines.laws import OBSERVING, FeedbackLinearization
 from cablebot_gym.envs import limits
 from cablebot_gym.evaluation import batch
 from cablebot_gym.evaluation.batch import noise_seed
@@ -92,11 +92,11 @@ class known_seed(Honest):
 
 
 def better_after(has_seen_batch):
-    """The honest law at first, and the adaptive law when a batch has been seen."""
+    """The honest law at first, and a better law when a batch has been seen."""
 
     class Remembers(Honest):
         def reset(self, tasks):
-            self.law = ADAPTIVE.factory(self.robot) if has_seen_batch() else None
+            self.law = OBSERVING.factory(self.robot) if has_seen_batch() else None
             super().reset(tasks)
 
         def predict(self, observation, state=None, episode_start=None, deterministic=True):

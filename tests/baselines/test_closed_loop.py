@@ -10,11 +10,11 @@ from cablebot_gym.evaluation import compare_policies, evaluate_dlcc
 from cablebot_gym.evaluation.rollout import record_rollout
 from cablebot_gym.motions import FIRST_HELD_OUT_SEED, random_loop
 from cablebot_gym.policies import policy_entries
-from cablebot_gym.robots import FLEX_SPATIAL, PLANAR, SPATIAL
+from cablebot_gym.robots import FLEX_SPATIAL, SPATIAL
 
 ENTRIES = policy_entries().values()
 PLANNERS = ("trajopt", "learned-plan", "refined-plan")
-LARGE = ("adaptive", "composite", "flex-eq22", "motor-pd", "nmpc", "observing", "ppo", *PLANNERS)
+LARGE = ("composite", "flex-eq22", "motor-pd", "nmpc", "observing", "ppo", *PLANNERS)
 """Policies that estimate or plan, and those with the short physics steps of joint springs."""
 
 
@@ -87,7 +87,6 @@ BARE_FLEX_SPATIAL = bare(FLEX_SPATIAL)
     ("law", "robot", "payload_known", "payload", "tolerance"),
     [
         ("fl:gains=tuned", bare(SPATIAL), False, 4.15, 0.04),
-        ("adaptive", bare(PLANAR), False, 1.93, 0.05),
         (make_robust(SPATIAL, zeta=0.5, phi=5.0), SPATIAL, False, 4.58, 0.05),
         (Composite(BARE_FLEX_SPATIAL), BARE_FLEX_SPATIAL, True, 4.54, 0.04),
         (MotorPD(BARE_FLEX_SPATIAL, minimum_tension=5.0), BARE_FLEX_SPATIAL, True, 4.10, 0.04),

@@ -52,8 +52,8 @@ def vector(env_id, count, **keywords):
 
 @pytest.mark.landing
 @pytest.mark.parametrize(("env_id", "payload"), [(PLANAR_ID, 2.6), (SPATIAL_ID, 6.4)])
-def test_payload_far_beyond_adaptive_is_carried(policies, env_id, payload):
-    """``adaptive`` has a DLCC of 1.9 kg and 5.0 kg."""
+def test_payload_far_beyond_that_of_the_reference_is_carried(policies, env_id, payload):
+    """Laws that follow the reference exactly carry 1.9 kg and 5.0 kg."""
     env = vector(
         env_id, 3, payload=np.array([0.0, payload, payload]), payload_known=[False, True, False]
     )

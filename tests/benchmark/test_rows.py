@@ -270,7 +270,7 @@ def test_hash_has_plant_judge_and_the_law_alone():
         code_hash.source_files(
             "cablebot_gym.envs.vector",
             "cablebot_gym.evaluation.judge",
-            "cablebot_baselines.laws:ADAPTIVE",
+            "cablebot_baselines.laws:OBSERVING",
             without=WITHOUT_EFFECT,
         )
     )
@@ -282,8 +282,8 @@ def test_hash_has_plant_judge_and_the_law_alone():
     )
     assert {f"cablebot_gym.{name}" for name in names} <= files
     laws = {name.rpartition(".")[2] for name in files if name.startswith("cablebot_baselines.laws")}
-    assert {"adaptive", "law"} <= laws
-    assert not laws & {"robust", "observing", "flex_eq22"}
+    assert {"observing", "law"} <= laws
+    assert not laws & {"robust", "flex_eq22"}
     assert not {name for name in files if "benchmark" in name or "cli" in name or "utils" in name}
 
 

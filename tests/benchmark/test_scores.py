@@ -207,6 +207,6 @@ def test_page_has_all_results_and_notes():
     for text in (
         "the paper's circle: payload known, paper criterion [kg]",
         "* bad failed on CableBot-Planar-v0: policy 'bad' raised \\<b\\> \\| and \\* more",
-        "* computing times were measured on: some processor",
+        "Measured on: some processor.",
     ):
         assert text in page

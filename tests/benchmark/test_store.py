@@ -130,6 +130,6 @@ def test_row_of_a_dead_or_different_worker_is_tried_again(make_store, outcome):
 
 
 def test_longest_rows_start_first(make_store):
-    drawn = asked(policy="adaptive", uncertainty="table6", draws=9)
+    drawn = asked(policy="observing", uncertainty="table6", draws=9)
     best = asked("best-known")
     assert run(make_store(), rows=(ROW, drawn, best)) == [best, drawn, ROW]

@@ -28,6 +28,7 @@ from cablebot_gym.policies import (
     spec,
 )
 from cablebot_gym.policies.adapters import CallablePolicy
+from cablebot_gym.policies.options import parse_options
 from cablebot_gym.policies.protocol import reset_policy
 from cablebot_gym.policies.spec import ESTIMATOR_ENTRY_POINT_GROUP
 from cablebot_gym.robots import PLANAR, ROBOTS, SPATIAL, find_robot
@@ -133,7 +134,7 @@ def test_class_is_made_for_the_robot_of_the_evaluation():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("lqr", r"unknown policy 'lqr'; choose one of .*adaptive, .*fl, "),
+        ("lqr", r"unknown policy 'lqr'; choose one of .*fl, .*observing"),
         ("missing.zip", "policy file 'missing.zip' does not exist"),
         ("toy_policy_module:nothing", r"the factory must return a policy; .*; NoneType is neither"),
         (
@@ -177,7 +178,6 @@ def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension
             "unknown fl option 'gain'; choose one of gains, minimum_tension, such as fl:",
         ),
         ("fl:gains=tund", "unknown gains 'tund'; choose one of paper, tuned"),
-        ("adaptive:allocation=maybe", "allocation must be true or false, not 'maybe'"),
         ("trajopt:gains=tuned", "policy 'trajopt' has no options: leave 'gains=tuned' out"),
         ("fl:tuned", "No module named 'fl'"),
     ],
@@ -185,6 +185,13 @@ def test_options_of_a_name_are_arguments_of_the_law(name, gains, minimum_tension
 def test_invalid_option_raises_with_the_valid_ones(name, message):
     with pytest.raises(ValueError, match=message):
         load_policy(name, PLANAR)
+
+
+def test_option_that_is_true_or_false_takes_nothing_else():
+    entry = replace(FL, factory=lambda robot, *, damped=True: FL.factory(robot))
+    assert parse_options(entry, "damped=false") == {"damped": False}
+    with pytest.raises(ValueError, match="damped must be true or false, not 'maybe'"):
+        parse_options(entry, "damped=maybe")
 
 
 def test_first_estimator_is_in_front_of_the_second(points):

@@ -22,7 +22,7 @@ def carried(policy, payload, **conditions):
 ROWS = [
     optimum(2.5),
     *(optimum(4.0, motion) for motion in LOOPS),
-    carried("adaptive", 1.7),
+    carried("observing", 1.7),
     carried("fl", 1.9),
     carried("fl", 1.0, uncertainty="table6", draws=512),
     *(
@@ -44,9 +44,9 @@ def test_motions_of_a_family_are_one_line_with_an_episode_each():
 
 
 def test_first_of_two_rows_with_other_seeds_counts():
-    again = replace(RESULTS, rows=[carried("adaptive", 1.6, seed=2)])
+    again = replace(RESULTS, rows=[carried("observing", 1.6, seed=2)])
     data = page_data([RESULTS, again], {})
-    (row,) = [row for row in data["rows"] if row["policy"] == "adaptive"]
+    (row,) = [row for row in data["rows"] if row["policy"] == "observing"]
     assert (row["payload"], len(row["cells"])) == (1.7, 1)
 
 
@@ -68,7 +68,7 @@ def test_page_has_title_and_data_as_text(tmp_path, capsys):
 def written(tmp_path_factory):
     """A page with episodes of true payloads."""
     folder = tmp_path_factory.mktemp("page")
-    questions = [asked(policy="fl"), asked(policy="adaptive")]
+    questions = [asked(policy="fl"), asked(policy="observing")]
     known = [row for question in questions for row in compute([question])]
     keys = {row.key for row in known}
     made_up = [row for row in ROWS if row.key not in keys]
@@ -117,11 +117,11 @@ def policies(page):
 @pytest.mark.landing
 def test_table_sorts_and_filters(opened):
     page = opened()
-    assert policies(page) == ["fl", "adaptive", "nobody</script>"]
+    assert policies(page) == ["fl", "observing", "nobody</script>"]
     fraction = page.locator("#leaderboard-table th", has_text="fraction")
     fraction.locator("button").click()
     # an error counts as zero
-    assert policies(page) == ["nobody</script>", "adaptive", "fl"]
+    assert policies(page) == ["nobody</script>", "observing", "fl"]
     assert fraction.get_attribute("aria-sort") == "ascending"
     page.select_option("#filter-condition", "payload known, table6, 512 robots")
     assert policies(page) == ["fl"]
@@ -130,8 +130,8 @@ def test_table_sorts_and_filters(opened):
     assert page.locator("#leaderboard-table .text").nth(0).get_attribute("title") == "38%"
     page.select_option("#filter-motion", "")
     assert page.inner_text("#count") == "5 of 5 rows"
-    page.fill("#filter-policy", "ADAP")
-    assert policies(page) == ["adaptive"]
+    page.fill("#filter-policy", "OBSERV")
+    assert policies(page) == ["observing"]
 
 
 @pytest.mark.landing

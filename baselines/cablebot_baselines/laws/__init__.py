@@ -1,6 +1,5 @@
 """The paper's control laws, and variants that also work where the paper's laws fail."""
 
-from cablebot_baselines.laws.adaptive import ADAPTIVE, Adaptive
 from cablebot_baselines.laws.feedback_linearization import FL, FeedbackLinearization
 from cablebot_baselines.laws.flex_eq22 import FLEX_EQ22, PaperFlexible
 from cablebot_baselines.laws.flexible import COMPOSITE, MOTOR_PD, Composite, MotorPD
@@ -10,7 +9,6 @@ from cablebot_baselines.laws.outer_loop import PD, BoundedRobustPD, RobustPD
 from cablebot_baselines.laws.robust import ROBUST, make_robust
 
 __all__ = [
-    "ADAPTIVE",
     "COMPOSITE",
     "FL",
     "FLEX_EQ22",
@@ -18,7 +16,6 @@ __all__ = [
     "OBSERVING",
     "PD",
     "ROBUST",
-    "Adaptive",
     "BoundedRobustPD",
     "Composite",
     "FeedbackLinearization",

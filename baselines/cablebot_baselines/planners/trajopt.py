@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cablebot_baselines.entries import entry
 from cablebot_baselines.episodes import first_steps
-from cablebot_baselines.laws.adaptive import make_adaptive
 from cablebot_baselines.laws.law import Array, ClassicalLaw
 from cablebot_baselines.laws.observer_law import UNCERTAINTY
+from cablebot_baselines.laws.observing import Observing
 from cablebot_baselines.observer.expectation import Expectation
-from cablebot_baselines.planners.plan_law import AdaptivePlanLaw, PlanLaw
+from cablebot_baselines.planners.plan_law import PlanLaw
 from cablebot_baselines.planners.rehearsed import (
     OPTIMAL,
     Planner,
@@ -80,11 +80,11 @@ class TrajOpt:
       with random robots (:mod:`~cablebot_baselines.planners.rehearsed`), and it is tracked with an
       observer of mass, motors and delay. It serves unknown payloads, and known ones up to its own.
     * The exact plan is for a known payload that is heavier than that. It hardly has margins, and
-      only the mass is estimated while it is tracked.
+      is tracked with that payload.
 
     The first planning of a task takes seconds to minutes. The plan is then stored on disk.
 
-    Without a plan, the policy tracks the reference itself with the adaptive law. :attr:`fallbacks`
+    Without a plan, the policy tracks the reference itself as ``observing`` does. :attr:`fallbacks`
     counts these episodes, and a warning gives the reason.
 
     Args:
@@ -107,7 +107,7 @@ class TrajOpt:
         self._laws: list[tuple[NDArray[np.intp], ClassicalLaw]] = []
         self._plans: dict[Any, tuple[Trajectory, PlannedMotion | None]] = {}
         self._expectation = Expectation.of(robot, find_uncertainty(UNCERTAINTY, robot))
-        self._reference_law = make_adaptive(robot)
+        self._reference_law = Observing(robot)
 
     def reset(self, tasks: Sequence[Task]) -> None:
         """Plans the motions of each different task.
@@ -199,15 +199,15 @@ class TrajOpt:
 
     def _exact(self, plans: Sequence[PlannedMotion], tasks: Sequence[Task]) -> ClassicalLaw:
         joints = self.robot.joints
-        tracking = PlanLaw(
+        law = PlanLaw(
             self.robot,
             plans,
             1 / tasks[0].control_frequency,
             gains=EXACT_GAINS[joints],
             reserve=EXACT_RESERVE[joints],
         )
-        tracking.reset(tasks)
-        return AdaptivePlanLaw(tracking)
+        law.reset(tasks)
+        return law
 
     def _without(self, plans: Sequence[None], tasks: Sequence[Task]) -> ClassicalLaw:
         self._reference_law.reset(tasks)
