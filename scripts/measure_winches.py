@@ -43,7 +43,7 @@ SUITE = "sensors"
 
 LAWS = {
     "CableBot-Planar-v0": "fl:gains=tuned",
-    "CableBot-Spatial-v0": "fl:gains=tuned",
+    "CableBot-Spatial-v0": "fl:gains=400/40",
     "CableBot-FlexPlanar-v0": "composite",
     "CableBot-FlexSpatial-v0": "composite:gains=paper",
 }
