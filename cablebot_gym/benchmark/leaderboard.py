@@ -115,10 +115,9 @@ def _seeds_text(seed_text: str | None) -> str:
 
 
 def _processors_text(boards: Sequence[Leaderboard]) -> str:
-    processors = set()
-    for board in boards:
-        processors |= {str(timing["processor"]) for timing in board.timings.values()}
-    return f" Measured on: {', '.join(sorted(processors))}." if processors else ""
+    timings = [timing for board in boards for timing in board.timings.values()]
+    processors = sorted({str(timing["processor"]) for timing in timings})
+    return f" Measured on: {', '.join(processors)}." if processors else ""
 
 
 def _versions(rows: Sequence[Row]) -> list[Mapping[str, str]]:

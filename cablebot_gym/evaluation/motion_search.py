@@ -25,9 +25,6 @@ SCAN_POINTS = 64
 SCAN_JITTER = 0.25
 """Largest random shift of a payload of the scan, as a fraction of the distance between payloads."""
 
-DENSE_POINTS = SCAN_POINTS
-"""Number of random payloads in the dense check with one draw."""
-
 REFINED_POINTS = 32
 """Largest number of payloads in a refinement."""
 
@@ -70,7 +67,7 @@ class SearchPlan:
     """Largest gap to the least failed payload [kg]."""
     refined_points: int
     """Largest number of payloads in a refinement."""
-    dense_points: int = DENSE_POINTS
+    dense_points: int
     """Number of random payloads below the result that one draw tries; several draws try one each. None
     are tried if it is zero."""
     repeated: int = 0

@@ -26,7 +26,6 @@ from cablebot_gym.evaluation.batch import (
 )
 from cablebot_gym.evaluation.judge import Verdict
 from cablebot_gym.evaluation.motion_search import (
-    DENSE_POINTS,
     REFINED_POINTS,
     SCAN_POINTS,
     MotionSearch,
@@ -141,7 +140,7 @@ class Search:
             scan_required=max(1, math.ceil(len(scan_seeds) * probability - 1e-9)),
             resolution=resolution,
             refined_points=refined_points,
-            dense_points=DENSE_POINTS if is_scan else 0,
+            dense_points=SCAN_POINTS if is_scan else 0,
             repeated=repeated,
         )
         self._motion = MotionSearch(plan, payload_max, self._rng)

@@ -187,7 +187,7 @@ def test_invalid_option_raises_with_the_valid_ones(name, message):
         load_policy(name, PLANAR)
 
 
-def test_option_that_is_true_or_false_takes_nothing_else():
+def test_boolean_option_rejects_other_values():
     entry = replace(FL, factory=lambda robot, *, damped=True: FL.factory(robot))
     assert parse_options(entry, "damped=false") == {"damped": False}
     with pytest.raises(ValueError, match="damped must be true or false, not 'maybe'"):

@@ -49,9 +49,9 @@ FLEXIBLE_MINIMUM_TENSION = 14.0
 """Least tension that the laws allocate on a planar robot with joint springs [N].
 
 A jump of the reference acceleration lets the tensions swing far below the allocated ones. This is
-the smallest value for which no tension limits the DLCC of ``motor-pd`` and ``composite``
-on the paper's circle between dwells. It costs a law that the tensions do not
-limit only a few per cent of the DLCC.
+the smallest value for which no tension limits the DLCC of ``motor-pd`` and ``composite`` on the
+paper's circle between dwells. It costs a law that the tensions do not limit only a few per cent of
+the DLCC.
 """
 
 
