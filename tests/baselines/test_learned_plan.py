@@ -16,7 +16,8 @@ from cablebot_baselines.learned.network_program import NetworkProgram
 from cablebot_baselines.learned.plan_network import PlanNetwork, control_points, no_moves
 from cablebot_baselines.learned.plan_space import PlanSpace
 from cablebot_baselines.learned.refinement import refined
-from cablebot_baselines.learned.shipped import LEARNED_PLAN, weights_of
+from cablebot_baselines.learned.shipped import weights_of
+from cablebot_baselines.learned.shipped_plans import LEARNED_PLAN
 from cablebot_baselines.planners.trajopt import exact_margins
 from cablebot_gym.envs import env_robot
 from cablebot_gym.motions import find_trajectory

@@ -9,18 +9,21 @@ import pytest
 
 pytest.importorskip("casadi")
 
+from cablebot_baselines.laws import Observing
 from cablebot_baselines.observer.expectation import Expectation
 from cablebot_baselines.planners import rehearsed
 from cablebot_baselines.planners.rehearsal import (
     GROWTH,
+    ROBOTS,
     TENSION_RESERVE,
     Rehearsal,
     grown_margins,
+    rehearse,
     spread_margins,
 )
 from cablebot_baselines.planners.rehearsed import OPTIMAL, PlanSearch, find_plans
 from cablebot_gym.planning import Infeasible, MarginProfile
-from cablebot_gym.uncertainty import find_uncertainty
+from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
 TIMES = np.arange(1, 201) / TASK.control_frequency
@@ -165,6 +168,20 @@ def test_exceeded_limits_get_larger_margins_at_their_times():
     margins = grown_margins(MarginProfile.zeros(TIMES, 3), rehearsal([0.0], tension=tension))
     assert margins.tension[100] == pytest.approx(0.5 * GROWTH)
     assert margins.tension[50] == margins.position.max() == margins.action.max() == 0.0
+
+
+def test_expected_robot_is_rehearsed_with_each_payload():
+    """It once failed unloaded by a hair with a plan that all random robots carry."""
+    motion = {"name": "line-planar", "duration": 0.05, "dwell": 0.0}
+    task = gym.make("CableBot-Planar-v0", trajectory=motion, payload_known=False).unwrapped.task
+    payloads = [0.0, 1.0]
+    rehearsals = []
+    for uncertainty in (find_uncertainty("hardware", task.robot), Uncertainty()):
+        law = Observing(task.robot)
+        rehearsals += rehearse(law, [task], uncertainty, [payloads])
+    drawn, exact = (rehearsal.tension.reshape(2, ROBOTS, -1) for rehearsal in rehearsals)
+    np.testing.assert_array_equal(drawn[:, -1], exact[:, -1])
+    assert (drawn[:, :-1] != exact[:, :-1]).any(axis=-1).all()
 
 
 @pytest.mark.landing

@@ -107,6 +107,16 @@ def test_infeasible_plan_is_tried_once(caplog):
     first.assert_called_once()
 
 
+@pytest.mark.usefixtures("exact_plans_only")
+def test_unknown_payload_without_a_rehearsed_plan_follows_the_reference():
+    """The exact plan is tracked with a known payload."""
+    first = Mock()
+    policy = TrajOpt(PLANAR, Planner(name="mine", first=first, module=__name__))
+    policy.reset([gym.make(PLANAR_ID, payload_known=False).unwrapped.task])
+    assert policy.fallbacks == 1
+    first.assert_not_called()
+
+
 # --- invalid input ----------------------------------------------------------------------------------------------------
 
 

@@ -8,8 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from cablebot_baselines.entries import DATA
 from cablebot_baselines.laws.law import Array
+from cablebot_baselines.learned.shipped import WEIGHTS, weights_of
 from cablebot_baselines.learned.steering import Memory, Steering
+from cablebot_gym.policies import PolicyEntry
 from cablebot_gym.robots import Robot
 from cablebot_gym.utils.files import atomic_write
 
@@ -74,3 +77,16 @@ def save_policy(model: Any, path: str | Path) -> None:
     buffer = BytesIO()
     np.savez(buffer, *arrays)
     atomic_write(path, lambda temporary: temporary.write_bytes(buffer.getvalue()))
+
+
+def load_ppo(robot: Robot) -> SteeredPolicy:
+    """Loads ``ppo`` for a nominal robot.
+
+    Raises:
+        ValueError: if no network is shipped for the robot.
+    """
+    return SteeredPolicy(robot, weights_of(robot, "ppo"))
+
+
+PPO = PolicyEntry(factory=load_ppo, files=tuple(sorted(WEIGHTS.glob("ppo-*.zip"))), **DATA["ppo"])
+"""The entry of the policy."""

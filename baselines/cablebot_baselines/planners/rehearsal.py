@@ -20,8 +20,8 @@ from cablebot_gym.robots import Robot
 from cablebot_gym.task import Task
 from cablebot_gym.uncertainty import Uncertainty
 
-ROBOTS = 19
-"""Number of random robots in a rehearsal."""
+ROBOTS = 20
+"""Number of robots in a rehearsal: random ones, and in the end the expected one."""
 
 SEED = 1_000_003
 """Seed of the first robot."""
@@ -112,8 +112,7 @@ def rehearse(
     uncertainty: Uncertainty,
     payloads: Sequence[Sequence[float]],
 ) -> list[Rehearsal]:
-    """Episodes of a law on each task, with each of its payloads and each of :data:`ROBOTS` random
-    robots.
+    """Episodes of a law on each task, with each of its payloads and each of :data:`ROBOTS` robots.
 
     Args:
         law: the law of these episodes, task by task and payload by payload.
@@ -137,9 +136,12 @@ def rehearse(
     )
     seeds = [SEED + episode % ROBOTS for episode in range(count)]
     options: dict[str, Any] = {"payload": payload}
+    is_exact = np.arange(count) % ROBOTS == ROBOTS - 1
     for index, task in enumerate(tasks):
         options["trajectory"] = task.trajectory
-        observation, _ = env.reset(seed=seeds, options=options)
+        env.reset(seed=seeds, options=options)
+        exact = {"uncertainty": None, "reset_mask": is_exact & (task_of_row >= index)}
+        observation, _ = env.reset(seed=seeds, options=options | exact)
         options["reset_mask"] = task_of_row > index  # only the first reset starts all episodes
     law.reset(env.tasks)
     state: Any = None

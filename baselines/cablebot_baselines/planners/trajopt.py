@@ -143,6 +143,8 @@ class TrajOpt:
         _, plan = self._plans[self._key("rehearsed", task)]
         if plan is not None and (not task.payload_known or task.model_payload <= plan.payload):
             return self._rehearsed, plan
+        if not task.payload_known:
+            return self._without, None
         key = self._key("exact", task)
         if key not in self._plans:
             plan = None
