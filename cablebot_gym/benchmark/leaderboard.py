@@ -111,7 +111,8 @@ def _seeds_text(seed_text: str | None) -> str:
         return ""
     return f""" Their seeds and the evaluation seed follow by SHA-256 from the text
   `{json.dumps(seed_text, ensure_ascii=False)}`.
-  It is new at every release: policies may have been tuned on the motions of earlier ones."""
+  It is new at every release: policies may have been tuned on the motions of earlier ones, and those that
+  changed after it was fixed on these."""
 
 
 def _processors_text(boards: Sequence[Leaderboard]) -> str:
