@@ -43,7 +43,7 @@ class NetworkPlans:
         """How the policy of this name makes its plans."""
 
         def first(
-            robot: Robot, task: Task, margins: Margins, lightest: float, *, final: bool = False
+            robot: Robot, task: Task, margins: Margins, lightest: float
         ) -> tuple[NetworkProgram, PlannedMotion]:
             space = PlanSpace(robot, task.error_bounds)
             program = NetworkProgram(
@@ -54,7 +54,7 @@ class NetworkPlans:
                 lightest=lightest,
                 refine=refine,
             )
-            return program, program.resolve(margins) if final else program.solve()
+            return program, program.solve()
 
         return Planner(name=name, first=first, module=__name__, key=self.key)
 

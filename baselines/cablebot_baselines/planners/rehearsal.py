@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from cablebot_baselines.laws.observer_law import ObserverLaw
+from cablebot_baselines.laws.law import ClassicalLaw
 from cablebot_gym.envs.vector import CableBotVectorEnv
 from cablebot_gym.kinematics import Array
 from cablebot_gym.motions import Trajectory
@@ -107,21 +107,24 @@ _EPISODE_ARRAYS = (
 
 
 def rehearse(
-    law: ObserverLaw,
+    law: ClassicalLaw,
     tasks: Sequence[Task],
     uncertainty: Uncertainty,
     payloads: Sequence[Sequence[float]],
+    *,
+    robots: int = ROBOTS,
 ) -> list[Rehearsal]:
-    """Episodes of a law on each task, with each of its payloads and each of :data:`ROBOTS` robots.
+    """Episodes of a law on each task, with each of its payloads and each robot.
 
     Args:
         law: the law of these episodes, task by task and payload by payload.
-        tasks: the tasks, whose payloads are unknown to the law. They differ in their motions alone.
+        tasks: the tasks, which differ in their motions alone.
         uncertainty: uncertainty from which the robots are drawn.
         payloads: nominal payloads of each task [kg]. The robots are the same for each.
+        robots: number of robots; the last one is exactly known.
     """
-    task_of_row = np.repeat(np.arange(len(tasks)), [ROBOTS * len(some) for some in payloads])
-    payload = np.repeat(np.concatenate(payloads), ROBOTS)
+    task_of_row = np.repeat(np.arange(len(tasks)), [robots * len(some) for some in payloads])
+    payload = np.repeat(np.concatenate(payloads), robots)
     count = len(payload)
     first = tasks[0]
     env = CableBotVectorEnv(
@@ -134,9 +137,9 @@ def rehearse(
         payload_known=first.payload_known,
         autoreset_mode=AutoresetMode.DISABLED,
     )
-    seeds = [SEED + episode % ROBOTS for episode in range(count)]
+    seeds = [SEED + episode % robots for episode in range(count)]
     options: dict[str, Any] = {"payload": payload}
-    is_exact = np.arange(count) % ROBOTS == ROBOTS - 1
+    is_exact = np.arange(count) % robots == robots - 1
     for index, task in enumerate(tasks):
         options["trajectory"] = task.trajectory
         env.reset(seed=seeds, options=options)
@@ -152,7 +155,8 @@ def rehearse(
         steps["poses"].append(env.pose)
         steps["position"].append(info["tracking_error_peak"])
         steps["rotation"].append(info["rotation_error_peak"])
-        steps["action"].append(state.requested)
+        # A law without memory does not saturate its actions.
+        steps["action"].append(action if state is None else state.requested)
         steps["tension"].append(info["least_tensions"].min(axis=1))
         steps["largest_tension"].append(info["largest_tensions"].max(axis=1))
     rehearsals = []

@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from cablebot_baselines.laws.law import ClassicalLaw
 from cablebot_baselines.laws.observer_law import Instant, ObserverLaw
 from cablebot_baselines.laws.outer_loop import by_kind
 from cablebot_baselines.laws.robust_design import RobustDesign
@@ -42,7 +44,7 @@ INTERVALS_PER_SECOND = {"rigid": 36.0, "flexible": 30.0}
 """Spline intervals of a plan per second [1/s], by joints of the robot. More of them hardly increase
 the DLCC and take longer to plan: minutes with joint springs."""
 
-MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 240
+MINIMUM_INTERVALS, MAXIMUM_INTERVALS = 20, 80
 """Minimum and maximum number of spline intervals of a plan."""
 
 COARSE = 1.5
@@ -84,6 +86,9 @@ LIGHTEST = 2.0
 FRACTIONS = (0.0, 0.94, 1.0)
 """Rehearsed payloads as fractions of that of the plan."""
 
+REPLAYS = 16
+"""Number of replayed payloads of the plan for an exactly known robot."""
+
 ROUNDS = 3
 """Largest number of plans after the first one."""
 
@@ -112,10 +117,10 @@ class FirstPlan(Protocol):
     """Makes a program and its first plan."""
 
     def __call__(
-        self, robot: Robot, task: Task, margins: Margins, lightest: float, *, final: bool = False
+        self, robot: Robot, task: Task, margins: Margins, lightest: float
     ) -> tuple[PlanProgram, PlannedMotion]:
         """The program of a robot and a task, and its plan with some margins, which is feasible from a
-        lightest payload [kg] to its own. No other plan follows a final one.
+        lightest payload [kg] to its own.
 
         Raises:
             Infeasible: if there is none.
@@ -179,7 +184,7 @@ def _given(plan: PlannedMotion) -> Callable[[], PlannedMotion]:
 
 
 def first_optimum(
-    robot: Robot, task: Task, margins: Margins, lightest: float, *, final: bool = False
+    robot: Robot, task: Task, margins: Margins, lightest: float
 ) -> tuple[MotionProgram, PlannedMotion]:
     """The nonlinear program, and its solution.
 
@@ -202,6 +207,44 @@ def first_optimum(
 
 OPTIMAL = Planner(name="trajopt", first=first_optimum, module=__name__)
 """Plans by trajectory optimisation."""
+
+
+def replayed_plan(
+    program: PlanProgram,
+    margins: Margins,
+    task: Task,
+    make_law: Callable[[Sequence[PlannedMotion], Sequence[Task]], ClassicalLaw],
+) -> PlannedMotion:
+    """The plan for an exactly known robot. Its margins grow at the times at which a replay exceeds a
+    limit, between the instants of the program or by the error of the law.
+
+    Args:
+        program: makes the plans.
+        margins: constant margins.
+        task: the task, with a known payload.
+        make_law: makes the law that tracks the plan.
+
+    Raises:
+        Infeasible: if there is no plan with these margins.
+    """
+    plan = best = program.resolve(margins)
+    most = -1.0
+    profile = None
+    with suppress(Infeasible):
+        for _ in range(ROUNDS):
+            payloads = np.linspace(0.0, plan.payload, REPLAYS).tolist()
+            law = make_law([plan], [task])
+            (replay,) = rehearse(law, [task], Uncertainty(), [payloads], robots=1)
+            carried = replay.largest_carried(reserved=False)
+            if carried > most:
+                most, best = carried, plan
+            if carried >= plan.payload:
+                break
+            if profile is None:
+                profile = MarginProfile.zeros(replay.times, task.robot.cables)
+            profile = grown_margins(profile, replay)
+            plan = program.resolve(margins, profile)
+    return best
 
 
 def tracking_law(

@@ -23,6 +23,7 @@ from cablebot_baselines.planners.rehearsed import (
     OPTIMAL,
     Planner,
     largest_tension_margin,
+    replayed_plan,
     tracking_law,
 )
 from cablebot_gym.motions import Trajectory
@@ -190,11 +191,13 @@ class TrajOpt:
     def _exact_plan(self, task: Task) -> PlannedMotion:
         """The plan for an exactly known robot."""
         margins = exact_margins(self.robot, task.error_bounds)
+        nominal = replace(task, robot=self.robot)
 
         def make() -> PlannedMotion:
-            return self.planner.first(self.robot, task, margins, 0.0, final=True)[1]
+            program, _ = self.planner.first(self.robot, nominal, margins, 0.0)
+            return replayed_plan(program, margins, nominal, self._exact)
 
-        return self.planner.cached(replace(task, robot=self.robot), make, margins=margins)
+        return self.planner.cached(nominal, make, margins=margins)
 
     def _rehearsed(self, plans: Sequence[PlannedMotion], tasks: Sequence[Task]) -> ClassicalLaw:
         return tracking_law(plans, self._expectation, tasks)
