@@ -21,8 +21,8 @@ from cablebot_baselines.planners.rehearsal import (
     rehearse,
     spread_margins,
 )
-from cablebot_baselines.planners.rehearsed import OPTIMAL, PlanSearch, find_plans
-from cablebot_gym.planning import Infeasible, MarginProfile
+from cablebot_baselines.planners.rehearsed import OPTIMAL, PlanSearch, find_plans, replayed_plan
+from cablebot_gym.planning import Infeasible, MarginProfile, Margins
 from cablebot_gym.uncertainty import Uncertainty, find_uncertainty
 
 TASK = gym.make("CableBot-Planar-v0", payload_known=False).unwrapped.task
@@ -111,6 +111,27 @@ def test_plan_with_half_the_margins_follows_one_that_is_infeasible(search):
     first, later = Mock(payload=2.0), Mock(payload=1.5)
     failed = rehearsal([0, 2], position=np.full((2, 200), 0.02))
     assert search([first, None, later], failed, rehearsal([0, 1.5])) is later
+
+
+@pytest.mark.parametrize(
+    ("carried", "best"),
+    [([True], 0), ([False, True], 1), ([False, False, False], 0)],
+    ids=["first", "margins help", "none helps"],
+)
+def test_exact_plan_is_the_first_whose_replays_keep_all_limits(monkeypatch, carried, best):
+    """Between the instants of its program a plan exceeded the bound of the rotation."""
+    plans = [Mock(payload=2.0 - 0.1 * index) for index in range(4)]
+    replays = []
+    for plan, is_carried in zip(plans, carried, strict=False):
+        error = 0.005 if is_carried else 0.02
+        payloads = [0.0, plan.payload]
+        position = np.array([[0.005], [error]]) * np.ones(200)
+        replays.append([rehearsal(payloads, position=position)])
+    monkeypatch.setattr(rehearsed, "rehearse", Mock(side_effect=replays))
+    program = Mock(**{"resolve.side_effect": plans})
+    assert replayed_plan(program, Margins(), TASK, Mock()) is plans[best]
+    used = [call.args[1] for call in program.resolve.call_args_list[1:]]
+    assert all(profile.position.max() > 0.01 for profile in used)
 
 
 def test_jump_that_comes_a_period_later_needs_no_margin():

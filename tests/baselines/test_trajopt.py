@@ -1,6 +1,7 @@
 """The policy that plans a motion within the error bounds and tracks it."""
 
 import logging
+from dataclasses import replace
 from unittest.mock import Mock
 
 import gymnasium as gym
@@ -12,7 +13,9 @@ pytest.importorskip("casadi")
 
 from cablebot_baselines.planners.rehearsed import Planner
 from cablebot_baselines.planners.trajopt import TrajOpt, exact_margins
+from cablebot_gym.envs import ENV_IDS, env_robot
 from cablebot_gym.evaluation import evaluate_dlcc
+from cablebot_gym.motions import random_loop
 from cablebot_gym.physics.textbook import allocated_minimum
 from cablebot_gym.planning import Infeasible
 from cablebot_gym.robots import PLANAR, SPATIAL, find_robot
@@ -54,6 +57,18 @@ def test_planar_dlcc_is_near_the_best_known_payload(known, fraction):
     """A robot with an unknown payload may be any of `hardware`."""
     result = evaluate_dlcc(TrajOpt(PLANAR), PLANAR_ID, payload_known=known, resolution=0.02)
     assert fraction * PLANAR_BEST <= result.payload <= PLANAR_BEST
+
+
+@pytest.mark.usefixtures("exact_plans_only")
+@pytest.mark.nightly
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_random_motion_of_each_environment_has_an_exact_plan(env_id):
+    """On meshes as fine as those of fast motions, IPOPT found none for slow motions on springs."""
+    robot = find_robot(env_robot(env_id))
+    task = gym.make(env_id, trajectory=random_loop(robot.kind, 0)).unwrapped.task
+    policy = TrajOpt(robot)
+    policy.reset([replace(task, payload_known=True)])
+    assert policy.fallbacks == 0
 
 
 def test_margins_follow_error_bounds_and_friction():
@@ -102,7 +117,7 @@ def test_infeasible_plan_is_tried_once(caplog):
         assert carried(policy, PLANAR_ID, np.array([1.5, 1.0]), [True, True]) == [True, True]
     assert policy.fallbacks == 2
     assert "mine tracks trajectory 'circle-planar' without a plan in 2 episodes" in caplog.text
-    policy.reset([gym.make(PLANAR_ID).unwrapped.task])
+    policy.reset([replace(gym.make(PLANAR_ID).unwrapped.task, payload_known=True)])
     assert policy.fallbacks == 1
     first.assert_called_once()
 
