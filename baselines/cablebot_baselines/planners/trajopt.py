@@ -80,8 +80,8 @@ class TrajOpt:
     * The rehearsed plan is for robots that are not exactly known: its margins follow from episodes
       with random robots (:mod:`~cablebot_baselines.planners.rehearsed`), and it is tracked with an
       observer of mass, motors and delay. It serves unknown payloads, and known ones up to its own.
-    * The exact plan is for a known payload that is heavier than that. It hardly has margins, and
-      is tracked with that payload.
+    * The exact plan is for a known payload that is heavier than that. It hardly has margins, but
+      where a replay exceeds a limit, and is tracked with that payload.
 
     The first planning of a task takes seconds to minutes. The plan is then stored on disk.
 
