@@ -123,7 +123,7 @@ def test_infeasible_plan_is_tried_once(caplog):
 
 
 @pytest.mark.usefixtures("exact_plans_only")
-def test_unknown_payload_without_a_rehearsed_plan_follows_the_reference():
+def test_unknown_payload_follows_the_reference_where_rehearsals_fail():
     """The exact plan is tracked with a known payload."""
     first = Mock()
     policy = TrajOpt(PLANAR, Planner(name="mine", first=first, module=__name__))
